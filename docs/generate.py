@@ -213,7 +213,13 @@ def keys() -> str:
         "key is an error."
     ]
     for title, *sources in (
-        ("session.toml and maps", ("io/session.py", "Entry"), ("record.py", "RateTable", "TemperatureSensitivity")),
+        (
+            "session.toml and maps",
+            ("io/session.py", "HeadEntry", "RecordingEntry", "StillEntry", "TurnEntry"),
+            ("io/column_map.py", "ColumnMap", "ChannelColumns", "TempFile"),
+            ("io/reference.py", "ReferenceMap", "PoseColumns"),
+            ("record.py", "RateTable", "TemperatureSensitivity"),
+        ),
         ("protocol.toml", ("programme.py", "Protocol")),
         (
             "study.toml",
@@ -235,7 +241,7 @@ def keys() -> str:
     )
     schema = schema_of(Calibration)
     for name, held in {"(the file)": schema, **schema["$defs"]}.items():
-        if name.endswith("Entry") or "properties" not in held:
+        if name in ("ColumnMap", "ChannelColumns", "ChannelScale", "TempFile") or "properties" not in held:
             continue  # of the map, above; or a table whose keys are names
         needed = set(held.get("required", ()))
         rows = [

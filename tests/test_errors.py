@@ -11,7 +11,6 @@ from undrift.calibration.calibrate import calibrate_from_motion
 from undrift.calibration.reference import ReferenceSettings
 from undrift.correction.correct import Corrector, correct
 from undrift.drift.fit import DriftSettings
-from undrift.io.columns import ReadSettings
 from undrift.orientation import OrientSettings
 from undrift.record import Record
 from undrift.validation.trial import TrialSettings
@@ -52,7 +51,6 @@ def test_an_error_travels_between_processes():
         (lambda: TrialSettings(offset="whatever"), "offset"),
         (lambda: ReferenceSettings(mounting="twice"), "mounting"),
         (lambda: DriftSettings(tables="all"), "tables"),
-        (lambda: ReadSettings(gaps="ignore"), "gaps"),
         (lambda: correct(STILL, CALIBRATION, policy="whatever"), "policy"),
         (lambda: correct(STILL, CALIBRATION, offset="whatever"), "offset"),
         (lambda: Corrector(CALIBRATION, "whatever"), "policy"),
@@ -65,6 +63,4 @@ def test_unknown_choice_is_refused_with_the_choices(make, name):
 
 
 def test_choices_that_are_allowed_pass():
-    assert ReadSettings(gaps=None).gaps is None
-    assert ReadSettings(gaps="keep").gaps == "keep"
     assert OrientSettings(method="vqf").method == "vqf"

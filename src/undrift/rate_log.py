@@ -17,7 +17,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray, runs
 from undrift.errors import AlignmentError, FileFormatError, InputError
-from undrift.io.columns import TextLayout
+from undrift.io.column_map import TextLayout
 from undrift.io.text import open_text, parse_text
 from undrift.model import AXES
 from undrift.record import Record, Turn

@@ -7,12 +7,13 @@ import pytest
 
 from testkit.broad_trials import trial
 from testkit.c_build import build, run_with_lag
+from testkit.column_maps import column_map
 from testkit.data import data_path, show
 from testkit.full_calibration import device
 from undrift.correction.correct import correct_checked
 from undrift.export.c import export_c
-from undrift.io.columns import ChannelScale, ColumnMap
-from undrift.io.text import read_csv
+from undrift.io.column_map import ChannelScale
+from undrift.io.formats import read_counted
 from undrift.model import AdcModel, DriftTables, StaticDrift
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.truth import true_calibration, true_tables
@@ -24,11 +25,11 @@ LSB = 2000.0 / 32768.0 * RADIAN_PER_DEGREE  # of the BROAD gyroscopes, which cut
 
 def warm_up():
     """The warm-up of an MPU-6050, in counts; offsets over temperature from the means of half-degree bins."""
-    columns = ColumnMap(
+    columns = column_map(
         time="Time", gyro=("Gx", "Gy", "Gz"), accel=("Ax", "Ay", "Az"), temp="dTemp", time_unit="ms",
         gyro_unit="count", accel_unit="count", temp_unit="degC", temp_scale=ChannelScale(1.0 / 340.0, 36.53),
     )  # fmt: skip
-    record = read_csv(data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz"), columns).record
+    record = read_counted(data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz"), columns).record
     nodes = np.arange(11.0, 28.6, 0.5)
     cell = np.round((record.temp_c - nodes[0]) / 0.5)
 

@@ -7,16 +7,15 @@ import numpy as np
 import pytest
 from benchmarks.broad_files import read_broad
 
+from testkit.column_maps import column_map, reference_map
 from testkit.data import DATA, data_path, show
 from testkit.npz import read_npz
 from undrift.errors import FileFormatError, InputError
-from undrift.io.columns import ChannelScale, ColumnMap, ReadSettings, TextLayout
-from undrift.io.formats import read_record, read_reference
+from undrift.io.column_map import ChannelScale, ColumnMap, TextLayout
+from undrift.io.formats import read_counted, read_record, read_reference
 from undrift.io.inspect import describe, find_symptoms
 from undrift.io.mocap import fit_cluster, read_c3d, read_trc
-from undrift.io.reference import ReferenceMap
 from undrift.io.session import read_session
-from undrift.io.text import read_csv
 
 FACES = {"gyro": ("gyr_x", "gyr_y", "gyr_z"), "accel": ("acc_x", "acc_y", "acc_z")}
 BLANKS = TextLayout(delimiter=" ", header=False)
@@ -31,13 +30,13 @@ def size(values):
 
 def test_the_nilspod_session_reads():
     path = data_path("ferraris_nilspod", "example_ferraris_session.csv")
-    record = read_csv(path, ColumnMap(**FACES, gyro_unit="deg/s", accel_unit="m/s^2", sample_rate_hz=102.4)).record
+    record = read_counted(path, column_map(**FACES, gyro_unit="deg/s", accel_unit="m/s^2", sample_rate_hz=102.4)).record
     show("rows", len(record), 10376)
     assert len(record) == 10376
     assert record.gyro[0].tolist() == [-0.6103515625, -0.30517578125, 0.06103515625]
     assert record.sample_rate_hz == pytest.approx(102.4)
-    counts = ColumnMap(**FACES, gyro_unit="count", accel_unit="count", sample_rate_hz=102.4)
-    assert read_csv(data_path("ferraris_nilspod", "annotated_session.csv"), counts).record.accel[0].tolist() == [
+    counts = column_map(**FACES, gyro_unit="count", accel_unit="count", sample_rate_hz=102.4)
+    assert read_counted(data_path("ferraris_nilspod", "annotated_session.csv"), counts).record.accel[0].tolist() == [
         -2052,
         -28,
         -73,
@@ -46,10 +45,10 @@ def test_the_nilspod_session_reads():
 
 @pytest.mark.parametrize("unit", [0, 1, 2])
 def test_the_hand_turned_units_read_without_a_time_column(unit):
-    columns = ColumnMap(
+    columns = column_map(
         accel=(0, 1, 2), gyro=(3, 4, 5), accel_unit="m/s2", gyro_unit="rad/s", sample_rate_hz=100.0, layout=BLANKS
     )
-    record = read_csv(data_path("multipos_mpu9150", f"imu{unit}.log.gz"), columns).record
+    record = read_counted(data_path("multipos_mpu9150", f"imu{unit}.log.gz"), columns).record
     median = float(np.median(size(record.accel)))
     show(
         f"unit {unit}: duration s, median |a|",
@@ -86,7 +85,7 @@ def test_the_xsens_session_joins_its_two_files_side_by_side(tmp_path):
 @pytest.mark.slow
 def test_the_bicycle_board_reads_from_eleven_files():
     keys = {"time": "t_s", "time_unit": "s", "gyro": ("gyro_rad_s",), "gyro_unit": "rad/s", "accel": ("acc_raw",)}
-    columns = ColumnMap(**keys, accel_unit="count", temp="temp_degC", temp_unit="degC")
+    columns = column_map(**keys, accel_unit="count", temp="temp_degC", temp_unit="degC")
     paths = sorted(data_path("multipos_mpu6050_bicycle").glob("*.npz"))
     records = [read_npz(path, columns) for path in paths]
     lengths = [record.duration_s for record in records]
@@ -104,16 +103,16 @@ def test_the_rate_table_files_hold_two_clocks():
     keys = {"gyro": ("gyro_bno_dps",), "gyro_unit": "dps", "accel": ("acc_bno_g",), "accel_unit": "g"}
     for name, seconds in (("giro_test_filt", 120.0), ("giro_test_non_filt", 120.0), ("slow_range_data", 75.0)):
         path = data_path("ratetable_jig", f"{name}.npz")
-        record = read_npz(path, ColumnMap(**keys, time="t_imu", time_unit="s"))
+        record = read_npz(path, column_map(**keys, time="t_imu", time_unit="s"))
         show(name, (record.sample_rate_hz, record.duration_s), (100, seconds))
         assert record.sample_rate_hz == pytest.approx(100.0)
         assert record.duration_s == pytest.approx(seconds, abs=0.05)
         with pytest.raises(InputError, match=r"expected arrays of one length, got t_jig .* separate records"):
-            read_npz(path, ColumnMap(**keys, time="t_jig", time_unit="s"))
+            read_npz(path, column_map(**keys, time="t_jig", time_unit="s"))
 
 
 def test_a_header_of_settings_is_skipped_as_stated():
-    columns = ColumnMap(
+    columns = column_map(
         accel=("ax", "ay", "az"),
         gyro=("gx", "gy", "gz"),
         accel_unit="g",
@@ -121,9 +120,9 @@ def test_a_header_of_settings_is_skipped_as_stated():
         accel_scale=ChannelScale(1 / 16384),
         gyro_scale=ChannelScale(1 / 131),
         sample_rate_hz=100.0,
-        layout=TextLayout(skip_rows=4),
+        skip_rows=4,
     )
-    record = read_csv(data_path("static_mpu6050", "example_data_tinit_calc.csv.gz"), columns).record
+    record = read_counted(data_path("static_mpu6050", "example_data_tinit_calc.csv.gz"), columns).record
     show("duration s", record.duration_s, 449)
     assert record.duration_s == pytest.approx(449.0, abs=0.5)
     assert 0.85 < np.median(size(record.accel)) < 1.0
@@ -142,8 +141,8 @@ def test_the_dirty_logs_read_and_their_wrong_scale_is_named(name, rows, temps, g
         "accel_unit": "g",
         "gyro_unit": "dps",
     }
-    columns = ColumnMap(**keys, sample_rate_hz=50.0, layout=TextLayout(header=False, drop_bad_rows=True))
-    built = read_csv(path, columns)
+    columns = column_map(**keys, sample_rate_hz=50.0, header=False, drop_bad_rows=True)
+    built = read_counted(path, columns)
     record = built.record
     show("rows, dropped", (len(record), built.dropped_rows), rows)
     show("degC", (record.temp_c.min(), record.temp_c.max()), temps)
@@ -156,14 +155,14 @@ def test_the_dirty_logs_read_and_their_wrong_scale_is_named(name, rows, temps, g
     assert found["recording.gravity"]["median_g"] == pytest.approx(g, abs=0.0005)
     assert found["recording.gravity"]["direction"] == "small"
     with pytest.raises(FileFormatError, match="set drop_bad_rows = true in a map"):
-        read_csv(path, ColumnMap(**keys, sample_rate_hz=50.0, layout=TextLayout(header=False)))
+        read_counted(path, column_map(**keys, sample_rate_hz=50.0, header=False))
 
 
 @pytest.mark.slow
 def test_the_warm_up_reads_in_spite_of_its_drop_outs():
     keys = {"time": "Time", "time_unit": "ms", "temp_unit": "degC", "accel": ("Ax", "Ay", "Az"), "accel_unit": "g"}
     path = data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz")
-    die = ColumnMap(
+    die = column_map(
         **keys,
         accel_scale=ChannelScale(1 / 16384),
         gyro=("Gx", "Gy", "Gz"),
@@ -172,8 +171,8 @@ def test_the_warm_up_reads_in_spite_of_its_drop_outs():
         temp="dTemp",
         temp_scale=ChannelScale(1 / 340, 36.53),
     )
-    record = read_csv(path, die).record
-    board = read_csv(path, ColumnMap(**keys, accel_scale=ChannelScale(1 / 16384), temp="Temp ")).record
+    record = read_counted(path, die).record
+    board = read_counted(path, column_map(**keys, accel_scale=ChannelScale(1 / 16384), temp="Temp ")).record
     mean_hz = (len(record) - 1) / record.duration_s
     steps = np.diff(record.time)
     show("rows, s, mean Hz", (len(record), record.duration_s, mean_hz), (63792, 2158, 29.56))
@@ -192,8 +191,8 @@ def test_the_warm_up_reads_in_spite_of_its_drop_outs():
 
 
 def test_the_worn_sensor_reads():
-    columns = ColumnMap(**FACES, gyro_unit="dps", accel_unit="g", sample_rate_hz=100.0)
-    record = read_csv(data_path("worn_lowback", "HA_001_Test11.csv.gz"), columns).record
+    columns = column_map(**FACES, gyro_unit="dps", accel_unit="g", sample_rate_hz=100.0)
+    record = read_counted(data_path("worn_lowback", "HA_001_Test11.csv.gz"), columns).record
     show("s", record.duration_s, 137)
     assert record.duration_s == pytest.approx(137.0, abs=1.0)
     assert find_symptoms(record) == ()
@@ -205,7 +204,7 @@ def test_the_worn_sensor_reads():
 def test_the_apdm_file_holds_four_sensors_and_its_bias_is_as_published():
     path = data_path("wearable_formats", "opensim_apdm_imuData01.csv.gz")
     sensors = ("Static", "Upper", "Middle", "Lower")
-    records = [read_record(path, settings=ReadSettings(sensor=sensor)) for sensor in sensors]
+    records = [read_record(path, ColumnMap(sensor=sensor)) for sensor in sensors]
     temps = [float(record.temp_c.mean()) for record in records]
     show("rows, s", (len(records[0]), records[0].duration_s), (1024, 8.0))
     show("degC", (min(temps), max(temps)), (20.7, 23.1))
@@ -220,7 +219,7 @@ def test_the_apdm_file_holds_four_sensors_and_its_bias_is_as_published():
 def test_the_x_io_folders_read_with_their_temperatures():
     folder = data_path("wearable_formats")
     ngimu, ximu3 = read_record(folder / "ngimu"), read_record(folder / "ximu3")
-    ximu = read_record(folder / "ximu", settings=ReadSettings(sample_rate_hz=256.0))
+    ximu = read_record(folder / "ximu", ColumnMap(sample_rate_hz=256.0))
     for name, record, wanted in (("NGIMU", ngimu, 37.1), ("x-IMU3", ximu3, 30.0), ("x-IMU", ximu, 31.0)):
         show(f"{name}: rows, first degC", (len(record), record.temp_c[0]), wanted)
         assert record.temp_c[0] == pytest.approx(wanted, abs=0.1)
@@ -251,7 +250,7 @@ def test_the_axivity_arrays_read():
         "accel": ("accel",),
         "accel_unit": "g",
     }
-    columns = ColumnMap(**keys, temp="temperature", temp_unit="degC")
+    columns = column_map(**keys, temp="temperature", temp_unit="degC")
     record = read_npz(data_path("wearable_formats", "skdh_ax6_data.npz"), columns)
     show("rows, s", (len(record), record.duration_s), (10360, 105))
     assert len(record) == 10360
@@ -404,7 +403,7 @@ def test_foreign_tables_say_which_map_they_need_and_binaries_need_none():
 def test_a_force_plate_is_no_record_and_a_device_s_quaternions_are_a_reference():
     with pytest.raises(InputError, match="expected names such as gyro_x_dps"):
         read_record(data_path("posturography", "PDS13OR1grf.txt.gz"))
-    columns = ReferenceMap(time="Time (s)", time_unit="s", quaternion=("W", "X", "Y", "Z"))
+    columns = reference_map(time="Time (s)", time_unit="s", quaternion=("W", "X", "Y", "Z"))
     reference = read_reference(data_path("wearable_formats", "ngimu", "quaternion.csv"), columns)
     assert reference.sample_rate_hz == pytest.approx(50.0, abs=0.2)
-    assert len(read_record(data_path("wearable_formats", "ximu"), settings=ReadSettings(sample_rate_hz=256.0))) == 12626
+    assert len(read_record(data_path("wearable_formats", "ximu"), ColumnMap(sample_rate_hz=256.0))) == 12626

@@ -9,8 +9,9 @@ from testkit.command_line import contents
 from testkit.data import data_path, show
 from undrift.calibration.calibrate import calibrate
 from undrift.errors import InputError
+from undrift.io.column_map import read_map
 from undrift.io.formats import read_record
-from undrift.io.session import read_map, session_from_files
+from undrift.io.session import session_from_files
 from undrift.io.store import calibration_json
 
 BOARD = (
@@ -110,7 +111,7 @@ def test_a_session_states_what_the_options_would_and_stands_alone(undrift, bench
 def test_python_takes_what_the_command_line_takes_and_sees_the_same(undrift, board):
     log = data_path("multipos_mpu9150", "imu0.log.gz")
     told = undrift.good("calibrate", log, "--map", board / "board.toml", "--serial", "imu0", "--json").json()
-    record = read_record(log, read_map(board / "board.toml")[0])
+    record = read_record(log, read_map(board / "board.toml"))
     made = calibrate(record, serial="imu0")
     same(told, calibration_json(made))
     assert made.device == "imu0"

@@ -183,7 +183,7 @@ def test_what_an_export_leaves_open_is_asked_for_by_an_option_that_opens_it(undr
     path = data_path("makers", name)
     last = undrift.good("info", path).out.splitlines()[-1].strip()
     if "26" in hint:  # nobody but its owner knows the rate
-        assert "give --sample-rate-hz" in last
+        assert "Set --sample-rate-hz" in last
     else:
         assert last == f"Next: undrift info {path} {hint}"
     told = undrift.good("info", path, *shlex.split(hint), "--json").json()

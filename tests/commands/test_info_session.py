@@ -52,7 +52,7 @@ def test_a_simulated_device_shows_its_unit_unless_it_reads_counts(factor, unit):
         (("--gyro-unit", "dps"), "--gyro-unit: this option requires --write-map"),
         (("--accel-unit", "g"), "--accel-unit: this option requires --write-map"),
         (("--turn-deg", 360), "--turn-deg requires --write-session"),
-        (("--write-session", "s.toml", "--write-map", "m.toml"), "--write-session: expected no --write-map"),
+        (("--write-session", "s.toml", "--write-map", "m.toml"), "--write-session and --write-map cannot be combined"),
     ],
 )
 def test_an_option_that_would_do_nothing_is_refused(undrift, tmp_path, words, wanted):

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from testkit.column_maps import column_map
 from testkit.data import data_path, show
 from undrift.drift.observe import RestBlocks
 from undrift.drift.temperature import (
@@ -23,9 +24,8 @@ from undrift.drift.temperature import (
     without_lag_smooth,
 )
 from undrift.errors import InputError, NotObservable
-from undrift.io.columns import ChannelScale, ColumnMap, TextLayout
-from undrift.io.formats import read_record
-from undrift.io.text import read_csv
+from undrift.io.column_map import ChannelScale
+from undrift.io.formats import read_counted, read_record
 from undrift.record import Record, Session, Still
 
 TIME = np.arange(0.0, 2400.0, 0.1)
@@ -221,9 +221,9 @@ def test_recordings_at_several_temperatures_are_one_span():
 
 
 def warm_up(column, scale=None):
-    columns = ColumnMap(time="Time", gyro=("Gx", "Gy", "Gz"), temp=column, time_unit="ms", gyro_unit="count",
+    columns = column_map(time="Time", gyro=("Gx", "Gy", "Gz"), temp=column, time_unit="ms", gyro_unit="count",
                         temp_unit="degC", temp_scale=scale)  # fmt: skip
-    return read_csv(data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz"), columns).record
+    return read_counted(data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz"), columns).record
 
 
 @pytest.mark.parametrize(("column", "scale"), [("dTemp", ChannelScale(1.0 / 340.0, 36.53)), ("Temp", None)])
@@ -258,10 +258,10 @@ def test_a_chip_that_reads_54_degrees_on_a_table_is_called_implausible():
 
 
 def test_two_real_soaks_are_one_span_and_each_alone_is_judged():
-    columns = ColumnMap(temp=0, accel=(1, 2, 3), gyro=(4, 5, 6), temp_unit="degC", accel_unit="g", gyro_unit="dps",
-                        sample_rate_hz=50.0, layout=TextLayout(header=False, skip_rows=1, drop_bad_rows=True))  # fmt: skip
+    columns = column_map(temp=0, accel=(1, 2, 3), gyro=(4, 5, 6), temp_unit="degC", accel_unit="g", gyro_unit="dps",
+                        sample_rate_hz=50.0, header=False, skip_rows=1, drop_bad_rows=True)  # fmt: skip
     hot, cold = (
-        read_csv(data_path("thermal_bmi270_two_point", f"BMI_270_{k}_test.csv.gz"), columns).record
+        read_counted(data_path("thermal_bmi270_two_point", f"BMI_270_{k}_test.csv.gz"), columns).record
         for k in ("hot", "cold")
     )
     found = [trusted_temperature(of(record), 0) for record in (hot, cold)]
@@ -287,9 +287,9 @@ def test_eleven_recordings_on_a_bicycle_span_two_degrees_together():
 
 
 def test_a_worn_sensor_without_a_thermometer_is_refused():
-    columns = ColumnMap(accel=("acc_x", "acc_y", "acc_z"), gyro=("gyr_x", "gyr_y", "gyr_z"), accel_unit="g", gyro_unit="dps",
+    columns = column_map(accel=("acc_x", "acc_y", "acc_z"), gyro=("gyr_x", "gyr_y", "gyr_z"), accel_unit="g", gyro_unit="dps",
                         sample_rate_hz=100.0)  # fmt: skip
-    record = read_csv(data_path("worn_lowback", "HA_001_Test11.csv.gz"), columns).record
+    record = read_counted(data_path("worn_lowback", "HA_001_Test11.csv.gz"), columns).record
     with pytest.raises(InputError, match="neither a column"):
         trusted_temperature(of(record), 0)
 

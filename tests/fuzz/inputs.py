@@ -19,7 +19,8 @@ from testkit.data import DATA
 from testkit.full_calibration import device, tables
 from undrift.cli.app import run
 from undrift.errors import UndriftError
-from undrift.io.session import read_file_map, read_session
+from undrift.io.column_map import ColumnMap, read_map
+from undrift.io.session import read_session
 from undrift.io.store import read_calibration, write_calibration
 from undrift.programme import read_protocol
 from undrift.rate_log import read_rate_log
@@ -58,7 +59,7 @@ class Seed:
     simulated: bool = True  # Made here; a public recording otherwise
 
     @cached_property
-    def how(self) -> oracle.How:
+    def how(self) -> ColumnMap:
         """The arguments by which it is read."""
         return oracle.how_read(self.content, self.name)
 
@@ -74,7 +75,7 @@ class Seed:
         return (
             None
             if isinstance(held, str)
-            else oracle.Sound(self.content, held, self.how.columns is None or self.how.columns.time is not None)
+            else oracle.Sound(self.content, held, not self.how.columns or bool(self.how.columns_of("time")))
         )
 
 
@@ -202,7 +203,7 @@ def seeds() -> list[Seed]:
     )
     calibrated = device(drift=tables(scale=np.array([18.0, 40.0, 75.0])))
     settings: dict[str, tuple[bytes, Callable[[Path], object]]] = {
-        "map.toml": (MAP, read_file_map),
+        "map.toml": (MAP, read_map),
         "protocol.toml": (PROTOCOL, read_protocol),
         "study.toml": (STUDY, read_study),
         "rates.csv": (RATES, read_rate_log),

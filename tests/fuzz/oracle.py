@@ -17,17 +17,16 @@ import re
 import struct
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from undrift.errors import UndriftError
-from undrift.io.columns import ColumnMap, ReadSettings
+from undrift.io.column_map import ColumnMap, read_map
 from undrift.io.formats import read_markers, read_reference
 from undrift.io.inspect import Description, describe
-from undrift.io.session import read_map
 
 KINDS = ("equal", "refused", "finding", "own value", "header value", "SILENT")
 RATE_HZ = 100.0  # of sound files that state none
@@ -63,18 +62,10 @@ class Reading:
     found: frozenset[str]  # findings that may name damage
 
 
-@dataclass(frozen=True, slots=True)
-class How:
-    """With which arguments a file is read."""
-
-    columns: ColumnMap | None = None
-    settings: ReadSettings = field(default_factory=ReadSettings)
-
-
-def read(path: Path, how: How) -> Reading | str:
+def read(path: Path, how: ColumnMap) -> Reading | str:
     """Return what is read of a file, or why nothing is."""
     try:
-        held = describe(path, how.columns, settings=how.settings, up="z")
+        held = describe(path, how, up="z")
         if held.kind == "recording" and held.session is not None:
             return _of_recording(held)
         if held.kind == "markers":
@@ -125,15 +116,15 @@ def _findings(held: Description) -> frozenset[str]:
     return frozenset(out)
 
 
-def how_read(content: bytes, name: str) -> How:
+def how_read(content: bytes, name: str) -> ColumnMap:
     """Return the arguments by which a sound file is a recording: a sensor, a rate, the map that `info` proposes."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / name
         path.write_bytes(content)
-        how = How(settings=ReadSettings(sensor=SENSOR.get(name)))
+        how = ColumnMap(sensor=SENSOR.get(name))
         for _ in range(2):
             try:
-                held = describe(path, how.columns, settings=how.settings)
+                held = describe(path, how)
             except UndriftError:
                 break
             if held.example:
@@ -142,9 +133,9 @@ def how_read(content: bytes, name: str) -> How:
                 ]
                 lines = [line.replace("sample_rate_hz = ?", f"sample_rate_hz = {RATE_HZ}") for line in lines]
                 (Path(folder) / "map.toml").write_text("\n".join(lines))
-                how = How(read_map(Path(folder) / "map.toml")[0], how.settings)
+                how = read_map(Path(folder) / "map.toml", sensor=SENSOR.get(name))
             elif any(item.values.get("missing") == "sample_rate_hz" for item in held.findings):
-                how = How(settings=ReadSettings(sensor=SENSOR.get(name), sample_rate_hz=RATE_HZ))
+                how = ColumnMap(sensor=SENSOR.get(name), sample_rate_hz=RATE_HZ)
         return how
 
 

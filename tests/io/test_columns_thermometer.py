@@ -5,9 +5,8 @@ import pytest
 
 import undrift
 from undrift.errors import FileFormatError, InputError
-from undrift.io.columns import ReadSettings, TempFile, TextLayout
+from undrift.io.column_map import ColumnMap, TempFile, read_map
 from undrift.io.formats import iter_record, read_counted
-from undrift.io.session import read_map
 from undrift.record import Record
 
 
@@ -26,11 +25,11 @@ def truth(time):
 
 
 def test_a_thermometers_file_is_interpolated_and_held_at_the_ends(folder):
-    settings = ReadSettings(temp_file=TempFile(path=folder / "t.csv"))
-    read = read_counted(folder / "r.csv", settings=settings)
+    settings = ColumnMap(temp_file=TempFile(file=str(folder / "t.csv")))
+    read = read_counted(folder / "r.csv", settings)
     np.testing.assert_allclose(read.record.temp_c, truth(read.record.time))
     assert read.notes == ("temperature of t.csv, interpolated onto the samples",)
-    parts = list(iter_record(folder / "r.parquet", rows=30, settings=settings))
+    parts = list(iter_record(folder / "r.parquet", column_map=settings, rows=30))
     np.testing.assert_allclose(np.concatenate([part.temp_c for part in parts]), truth(read.record.time))
 
 
@@ -38,10 +37,10 @@ def test_names_units_and_another_clock_are_stated(folder):
     rows = "".join(f"{1000 * k + 500};{20 + k},0;x\n" for k in range(5))
     (folder / "t.txt").write_text("logger 3\nms;T;note\n" + rows)
     held = TempFile(
-        path=folder / "t.txt", time="ms", temp="T", time_unit="ms", shift_s=6.5,
-        layout=TextLayout(delimiter=";", decimal=",", skip_rows=1),
+        file=str(folder / "t.txt"), time="ms", temp="T", time_unit="ms", shift_s=6.5,
+        delimiter=";", decimal=",", skip_rows=1,
     )  # fmt: skip
-    record = undrift.read_record(folder / "r.csv", settings=ReadSettings(temp_file=held))
+    record = undrift.read_record(folder / "r.csv", ColumnMap(temp_file=held))
     np.testing.assert_allclose(record.temp_c, truth(record.time))
 
 
@@ -49,22 +48,22 @@ def test_a_thermometer_of_another_clock_or_without_readings_is_refused(folder):
     (folder / "far.csv").write_text("time_s,temp_c\n107,20\n108,21\n")
     words = r"far.csv: expected temperatures from 5 to 14.9 s, the recording's clock, got 107 to 108 s. Set temp_file.shift_s"
     with pytest.raises(InputError, match=words):
-        read_counted(folder / "r.csv", settings=ReadSettings(temp_file=TempFile(path=folder / "far.csv")))
+        read_counted(folder / "r.csv", ColumnMap(temp_file=TempFile(file=str(folder / "far.csv"))))
     (folder / "none.csv").write_text("time_s,temp_c\n7,NaN\n8,NaN\n")
     with pytest.raises(InputError, match=r"none.csv: temperature: expected one reading or more, got none"):
-        read_counted(folder / "r.csv", settings=ReadSettings(temp_file=TempFile(path=folder / "none.csv")))
+        read_counted(folder / "r.csv", ColumnMap(temp_file=TempFile(file=str(folder / "none.csv"))))
 
 
 def test_a_map_names_the_thermometer_beside_it_with_columns_or_without(folder):
     (folder / "a.toml").write_text('temp_file = { file = "t.csv" }\n')
-    assert read_map(folder / "a.toml")[1].temp_file == TempFile(path=folder / "t.csv")
+    assert read_map(folder / "a.toml").temp_file == TempFile(file=str(folder / "t.csv"))
     (folder / "b.toml").write_text(
         'columns = { gyro = ["x", "y", "z"] }\nunits = { gyro = "dps" }\nsample_rate_hz = 1\n'
         'temp_file = { file = "t.csv", time = 0, temp = 1, shift_s = 2 }\n'
     )
-    assert read_map(folder / "b.toml")[1].temp_file == TempFile(path=folder / "t.csv", time=0, temp=1, shift_s=2.0)
+    assert read_map(folder / "b.toml").temp_file == TempFile(file=str(folder / "t.csv"), time=0, temp=1, shift_s=2.0)
     (folder / "c.toml").write_text("sample_rate_hz = 1\n")
-    assert read_map(folder / "c.toml")[1].temp_file is None
+    assert read_map(folder / "c.toml").temp_file is None
     (folder / "d.toml").write_text("temp_file = { temp = 1 }\n")
     with pytest.raises(FileFormatError, match=r"\[temp_file\], file: this key is missing"):
         read_map(folder / "d.toml")

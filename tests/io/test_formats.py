@@ -10,10 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from testkit.column_maps import column_map
 from testkit.strategies import assert_same, few, one_line, records
 from testkit.trc_text import trc
 from undrift.errors import FileFormatError, InputError
-from undrift.io.columns import ColumnMap, ReadSettings, native_columns
+from undrift.io.column_map import ColumnMap
+from undrift.io.columns import native_columns
 from undrift.io.formats import iter_record, read_counted, read_record, write_record
 from undrift.record import ForceUncertainty, Record, joined
 
@@ -52,20 +54,17 @@ def test_native_names_without_time_take_the_stated_rate(tmp_path):
     np.savetxt(tmp_path / "r.csv", np.column_stack(columns[1:]), "%.17g", ",", header=",".join(names[1:]), comments="")
     with pytest.raises(InputError, match="got neither"):
         read_record(tmp_path / "r.csv")
-    assert_same(read_record(tmp_path / "r.csv", settings=ReadSettings(sample_rate_hz=100.0)), record)
+    assert_same(read_record(tmp_path / "r.csv", ColumnMap(sample_rate_hz=100.0)), record)
 
 
-def test_gaps_that_are_asked_for_overrule_the_map(tmp_path):
+def test_gaps_are_refused_or_kept_as_the_map_says(tmp_path):
     (tmp_path / "a.csv").write_text("t,x,y,z\n" + "".join(f"{0.1 * k},{'' if k == 3 else k},2,3\n" for k in range(9)))
-    strict = ColumnMap(time="t", time_unit="s", gyro=("x", "y", "z"), gyro_unit="dps")
-    lenient = replace(strict, gaps="keep")
-    kept, refused = ReadSettings(gaps="keep"), ReadSettings(gaps="raise")
-    for read in (read_record, lambda *a, **k: next(iter_record(*a, **k))):
-        assert np.isnan(read(tmp_path / "a.csv", strict, settings=kept).gyro).sum() == 1
-        assert np.isnan(read(tmp_path / "a.csv", lenient, settings=ReadSettings()).gyro).sum() == 1
-        for columns, settings in ((strict, None), (lenient, refused)):
+    plain = column_map(time="t", time_unit="s", gyro=("x", "y", "z"), gyro_unit="dps")
+    for read in (read_record, lambda *a: next(iter_record(*a))):
+        assert np.isnan(read(tmp_path / "a.csv", plain.but(gaps="keep")).gyro).sum() == 1
+        for refused in (plain, plain.but(gaps="raise")):
             with pytest.raises(InputError, match="got 1 empty or NaN cells, first in data row 4"):
-                read(tmp_path / "a.csv", columns, settings=settings)
+                read(tmp_path / "a.csv", refused)
 
 
 # header and sample sizes, start, end, and two samples of 16 bytes
@@ -102,7 +101,7 @@ def test_folders_and_missing_files_are_one_line(tmp_path):
     with pytest.raises(InputError, match=r"expected a name ending in .parquet, .csv or .csv.gz"):
         write_record(ramp(), tmp_path / "r.xlsx")
     write_record(ramp(), tmp_path / "r.csv")
-    with pytest.raises(InputError, match="expected two samples or more in a chunk, got 1"):
+    with pytest.raises(InputError, match="two samples or more in a chunk, got 1"):
         list(iter_record(tmp_path / "r.csv", rows=1))
 
 
@@ -143,9 +142,7 @@ def test_what_is_no_uncertainty_of_the_accelerometers_is_refused_in_one_line(tmp
     held = json.loads(beside.read_text())
     held["accel_uncertainty"] |= changes
     beside.write_text(json.dumps(held))
-    with pytest.raises(
-        FileFormatError, match="expected frame, state and device of a recording, got other keys"
-    ) as raised:
+    with pytest.raises(FileFormatError, match="frame, state and device of a recording, got other") as raised:
         read_record(tmp_path / "r.csv")
     assert one_line(raised)
 
@@ -156,30 +153,30 @@ def test_what_is_no_uncertainty_of_the_accelerometers_is_refused_in_one_line(tmp
 @pytest.mark.parametrize("ending", ["parquet", "csv"])
 def test_a_stretch_is_cut_off_at_an_end_and_a_gap_between(tmp_path, ending):
     write_record(ramp(), tmp_path / f"r.{ending}")  # 0 to 0.29 s
-    settings = ReadSettings(leave_out=((-1.0, 0.05), (0.1, 0.15), (0.25, 9.0)))
-    whole, record = ramp(), read_record(tmp_path / f"r.{ending}", settings=settings)
+    settings = ColumnMap(leave_out=((-1.0, 0.05), (0.1, 0.15), (0.25, 9.0)))
+    whole, record = ramp(), read_record(tmp_path / f"r.{ending}", settings)
     np.testing.assert_array_equal(record.time, whole.time[5:25])
     out = (record.time >= 0.1) & (record.time < 0.15)
     assert out.sum() == 5
     for name in ("gyro", "accel"):
         assert np.isnan(getattr(record, name)[out]).all()
         np.testing.assert_array_equal(getattr(record, name)[~out], getattr(whole, name)[5:25][~out])
-    chunks = list(iter_record(tmp_path / f"r.{ending}", rows=4, settings=settings))
+    chunks = list(iter_record(tmp_path / f"r.{ending}", column_map=settings, rows=4))
     assert_same(joined(chunks), record)
     assert (
         "left out as stated: -1 to 0.05 s, 0.1 to 0.15 s, 0.25 to 9 s"
-        in read_counted(tmp_path / f"r.{ending}", settings=settings).notes
+        in read_counted(tmp_path / f"r.{ending}", settings).notes
     )
 
 
 @pytest.mark.parametrize(
     ("stretch", "words"),
     [
-        ((5.0, 6.0), "expected a stretch within 0 to 0.29 s, .* got 5 to 6 s"),
+        ((5.0, 6.0), "expected a stretch within 0 to 0.29 s"),
         ((0.0, 0.285), "expected two remaining samples or more, got 1"),
     ],
 )
 def test_a_stretch_that_is_not_there_or_leaves_nothing_is_refused(tmp_path, stretch, words):
     write_record(ramp(), tmp_path / "r.parquet")
     with pytest.raises(InputError, match=re.escape(words)):
-        read_record(tmp_path / "r.parquet", settings=ReadSettings(leave_out=(stretch,)))
+        read_record(tmp_path / "r.parquet", ColumnMap(leave_out=(stretch,)))

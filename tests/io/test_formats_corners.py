@@ -3,32 +3,32 @@
 import numpy as np
 import pytest
 
+from testkit.column_maps import column_map
 from testkit.strategies import one_line
 from undrift.errors import FileFormatError, InputError
 from undrift.files import read_bytes
-from undrift.io.columns import ColumnMap, two_rates
-from undrift.io.formats import detect
+from undrift.io.columns import two_rates
+from undrift.io.formats import detect, read_counted
 from undrift.io.inspect import describe
-from undrift.io.text import read_csv
 
-XYZ = ColumnMap(time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g")
+XYZ = column_map(time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g")
 
 
 def test_a_row_as_long_as_a_file_is_refused_in_one_line(tmp_path):
     (tmp_path / "r.csv").write_text(f"t,x,y,z,note\n0,1,2,3,{'x' * 13_000_000}\n1,1,2,3,\n")
     with pytest.raises(FileFormatError, match="expected rows of text, got something else") as caught:
-        read_csv(tmp_path / "r.csv", XYZ)
+        read_counted(tmp_path / "r.csv", XYZ)
     one_line(caught)
 
 
 def test_a_column_of_empty_cells_is_all_gaps(tmp_path):
     (tmp_path / "r.csv").write_text("t,u,v,w,x,y,z\n0,4,5,,1,2,3\n1,4,5,,1,2,3\n")
-    assert read_csv(tmp_path / "r.csv", XYZ).record.accel.tolist() == [[1, 2, 3], [1, 2, 3]]
-    unmapped = ColumnMap(
+    assert read_counted(tmp_path / "r.csv", XYZ).record.accel.tolist() == [[1, 2, 3], [1, 2, 3]]
+    unmapped = column_map(
         time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g", gyro=("u", "v", "w"), gyro_unit="dps"
     )
-    with pytest.raises(InputError, match="column 'w': expected a number in every row, got 2 empty"):
-        read_csv(tmp_path / "r.csv", unmapped)
+    with pytest.raises(InputError, match="a number in every row, got 2 empty"):
+        read_counted(tmp_path / "r.csv", unmapped)
 
 
 def test_json_is_told_without_its_ending_and_a_brace_alone_is_text(tmp_path):

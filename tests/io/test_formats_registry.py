@@ -9,7 +9,7 @@ import pytest
 
 import undrift
 from undrift.errors import FileFormatError
-from undrift.io.columns import ReadSettings
+from undrift.io.column_map import ColumnMap
 from undrift.io.formats import FORMATS, detect, iter_record, outside_formats
 from undrift.io.inspect import describe
 from undrift.record import Reference
@@ -22,9 +22,9 @@ from undrift.record import Record, Reference
 def readings(path):
     return np.array([[float(x) for x in line.split("|")] for line in path.read_text().splitlines()[1:]])
 
-def read_logger(path, columns, settings):
+def read_logger(path, how):
     rows = readings(path)
-    rate = settings.sample_rate_hz or 100.0
+    rate = how.sample_rate_hz or 100.0
     return Record(time=np.arange(len(rows)) / rate, gyro=rows[:, :3], gyro_unit="dps", device="L1")
 
 def read_poses(path, columns):
@@ -84,7 +84,7 @@ def test_a_format_of_another_package_is_read_and_described(site, tmp_path):
     record = undrift.read_record(tmp_path / "a.log")
     np.testing.assert_array_equal(record.gyro, rates)
     assert (record.device, record.sample_rate_hz) == ("L1", pytest.approx(100.0))
-    slower = undrift.read_record(tmp_path / "a.log", settings=ReadSettings(sample_rate_hz=50.0))
+    slower = undrift.read_record(tmp_path / "a.log", ColumnMap(sample_rate_hz=50.0))
     assert slower.sample_rate_hz == pytest.approx(50.0)
     assert isinstance(undrift.read_reference(tmp_path / "a.log"), Reference)
     assert [len(part) for part in iter_record(tmp_path / "a.log", rows=200)] == [200, 100]

@@ -65,7 +65,7 @@ def test_an_imported_calibration_says_that_its_uncertainty_is_not_known(tmp_path
     assert np.isnan(made.accel.standard_uncertainty).all()
     assert made.verdict.status == "marginal"
     assert [(f.code, f.level) for f in made.verdict.findings] == [("imported.uncertainty", "warn")]
-    assert "a calibration of imucal states none" in made.verdict.reasons[0]
+    assert "a calibration of imucal contains none" in made.verdict.reasons[0]
     write_calibration(made, tmp_path / "c.json")
     read = read_calibration(tmp_path / "c.json")
     assert np.isnan(read.gyro.covariance).all()
@@ -81,7 +81,7 @@ def test_what_imucal_refuses():
 
     refused("expected cal_type 'Ferraris', got 'Turntable'", cal_type="Turntable")
     refused("expected format 2.0.0, got '1.0.0'. Convert it with imucal's legacy helpers", _format_version="1.0.0")
-    refused(r"expected K_a as finite numbers of shape \(3, 3\)", K_a=[1.0])
+    refused(r"K_a as finite numbers of shape \(3, 3\)", K_a=[1.0])
     refused("expected b_g as finite numbers", b_g=[1.0, 2.0, None])
     refused("expected b_g as finite numbers", b_g=[1.0, 2.0, "x"])
     refused("expected a unit for from_gyr_unit, got None. Write it into the file", from_gyr_unit=None)

@@ -5,9 +5,11 @@ import json
 import numpy as np
 import pytest
 
+from testkit.column_maps import column_map
 from testkit.trc_text import trc
 from undrift.errors import InputError
-from undrift.io.columns import ColumnMap, ReadResult, TextLayout
+from undrift.io.column_map import TextLayout
+from undrift.io.columns import ReadResult
 from undrift.io.inspect import describe, describe_record
 from undrift.io.parquet import write_parquet
 from undrift.io.reference import write_reference
@@ -122,7 +124,7 @@ def test_arrays_and_foreign_parquet_say_which_map_they_need(tmp_path):
 def test_with_a_map_a_foreign_table_is_described_with_its_problems(tmp_path):
     path = put(tmp_path, "x.csv", "ax,ay,az\n" + "0,0,0.25\n0,0.01,0.25\n" * 50 + "0,0\n")
     layout = TextLayout(drop_bad_rows=True)
-    columns = ColumnMap(accel=("ax", "ay", "az"), accel_unit="g", sample_rate_hz=50.0, layout=layout)
+    columns = column_map(accel=("ax", "ay", "az"), accel_unit="g", sample_rate_hz=50.0, layout=layout)
     found = describe(path, columns)
     assert (found.kind, found.rows) == ("recording", 100)
     left_out, gravity = found.findings[:2]

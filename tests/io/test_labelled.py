@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from testkit.column_maps import column_map
 from testkit.data import data_path
 from undrift.errors import FileFormatError, InputError
-from undrift.io.columns import ColumnMap, ReadSettings
+from undrift.io.column_map import ColumnMap, read_map
 from undrift.io.formats import detect, iter_record, read_counted, read_record
 from undrift.io.inspect import describe
 from undrift.io.labelled import Label, label_of, open_sheet, split_unit
-from undrift.io.session import read_map
 
 
 def put(tmp_path, text, name="t.csv"):
@@ -184,7 +184,7 @@ def test_several_sensors_in_one_table_ask_for_one_and_share_no_channel(tmp_path)
     )
     with pytest.raises(InputError, match="The file contains left, right"):
         read_record(path)
-    right = read_record(path, settings=ReadSettings(sensor="right"))
+    right = read_record(path, ColumnMap(sensor="right"))
     assert (right.accel[0].tolist(), right.gyro[0].tolist(), right.device) == (
         [0.0, 1.0, 0.0],
         [7.0, 7.0, 7.0],
@@ -276,7 +276,7 @@ def test_dates_are_seconds_from_the_first(tmp_path, stamps):
     stated = read_record(put(tmp_path, f"timestamp,ax (g),ay (g),az (g)\n{rows}"))
     np.testing.assert_allclose(stated.time, [0.0, 0.01, 0.02], atol=1e-9)
     bare = put(tmp_path, f"when,ax,ay,az\n{rows}", "bare.csv")
-    columns = ColumnMap(time="when", time_unit="date", accel=("ax", "ay", "az"), accel_unit="g")
+    columns = column_map(time="when", time_unit="date", accel=("ax", "ay", "az"), accel_unit="g")
     np.testing.assert_allclose(read_record(bare, columns).time, [0.0, 0.01, 0.02], atol=1e-9)
     assert np.concatenate([part.time for part in iter_record(bare, columns, rows=2)]).tolist() == stated.time.tolist()
 
@@ -288,7 +288,7 @@ def test_dates_of_a_table_without_names_are_proposed_and_read(tmp_path):
     assert example[0] == "columns = { time = 0, accel = [1, 2, 3] }"
     assert tomllib.loads(example[1])["units"] == {"time": "date", "accel": "g"}
     put(tmp_path, "\n".join(example), "map.toml")
-    record = read_record(path, read_map(tmp_path / "map.toml")[0])
+    record = read_record(path, read_map(tmp_path / "map.toml"))
     assert (len(record), record.sample_rate_hz) == (250, pytest.approx(100.0))
 
 
@@ -301,7 +301,7 @@ def test_dates_of_a_table_without_names_are_proposed_and_read(tmp_path):
 )
 def test_other_dates_are_refused(tmp_path, cell, words):
     path = put(tmp_path, f"when,ax,ay,az\n2026-01-31 12:00:00,0,0,1\n{cell},0,0,1\n")
-    columns = ColumnMap(time="when", time_unit="date", accel=("ax", "ay", "az"), accel_unit="g")
+    columns = column_map(time="when", time_unit="date", accel=("ax", "ay", "az"), accel_unit="g")
     with pytest.raises(FileFormatError, match=f"column 'when': {words}"):
         read_record(path, columns)
 
@@ -324,7 +324,7 @@ def test_a_decimal_comma_is_seen_and_stands_in_the_proposed_map(tmp_path, delimi
     assert 'decimal = ","' in example
     assert tomllib.loads(example[1])["units"] == {"time": "s", "gyro": "dps", "accel": "m/s2"}
     put(tmp_path, "\n".join(example), "map.toml")
-    record = read_record(tmp_path / "t.csv", read_map(tmp_path / "map.toml")[0])
+    record = read_record(tmp_path / "t.csv", read_map(tmp_path / "map.toml"))
     assert (record.accel[0].tolist(), record.sample_rate_hz) == ([0.12, 0.21, 9.79], pytest.approx(100.0))
 
 
@@ -346,8 +346,8 @@ def test_blanks_and_dates_are_a_table_and_no_prose(tmp_path):
 def test_a_damaged_row_that_is_no_utf_8_is_named_in_one_line(tmp_path, capfd):
     rows = b"".join(b"%d,0,0,1\n" % k for k in range(9)) + b"9,\x9a\xff,0,1,7,7\n"
     path = put(tmp_path, b"time (s),ax (g),ay (g),az (g)\n" + rows + b"10,0,0,1\n" * 300)
-    columns = ColumnMap(time="time (s)", time_unit="s", accel=("ax (g)", "ay (g)", "az (g)"), accel_unit="g")
-    with pytest.raises(FileFormatError, match="expected 4 columns in every row, got 6 in data row 10"):
+    columns = column_map(time="time (s)", time_unit="s", accel=("ax (g)", "ay (g)", "az (g)"), accel_unit="g")
+    with pytest.raises(FileFormatError, match="4 columns in every row, got 6 in data row 10"):
         read_record(path, columns)
     assert capfd.readouterr().err == ""
 

@@ -6,18 +6,19 @@ import sys
 import numpy as np
 import pytest
 
+from testkit.column_maps import column_map
 from testkit.data import data_path
 from undrift.errors import FileFormatError, InputError
 from undrift.io import isolated, libraries
-from undrift.io.columns import ColumnMap, ReadSettings
+from undrift.io.column_map import ColumnMap
 from undrift.io.formats import detect, read_counted, read_record
 from undrift.io.inspect import describe
 
-COUNTS = ColumnMap(time="time_s", time_unit="s", gyro=(0, 1, 2), gyro_unit="count")
+COUNTS = column_map(time="time_s", time_unit="s", gyro=(0, 1, 2), gyro_unit="count")
 
 
 def sensor(name):
-    return ReadSettings(sensor=name)
+    return ColumnMap(sensor=name)
 
 
 def median_size(record):
@@ -44,7 +45,7 @@ def test_an_xdf_clock_that_was_reset_keeps_its_rate_and_shows_the_gap():
 
 def test_an_xdf_stream_without_labels_and_units_asks_for_a_map():
     path = data_path("makers", "xdf", "minimal.xdf")
-    with pytest.raises(InputError, match=r"labelled as accelerometer or gyroscope with units, got 0, 1, 2; name them"):
+    with pytest.raises(InputError, match=r"labelled as accelerometer or gyroscope with units, got 0, 1, 2"):
         read_record(path)
     found = describe(path)
     assert (found.kind, found.format, found.findings[0].values["missing"]) == ("table", "xdf", "columns")
@@ -85,17 +86,17 @@ def test_an_xdf_stream_with_labels_and_units_needs_no_map(tmp_path):
     assert (record.accel_unit, record.gyro_unit, record.device) == ("m/s2", "dps", "Shimmer")
     assert (record.time[0], record.sample_rate_hz) == (500.0, pytest.approx(100.0))
     assert (record.accel[2].tolist(), record.gyro[2].tolist(), record.temp_c[2]) == ([2, 3, 4], [5, 6, 7], 8)
-    named = ColumnMap(time="time_s", time_unit="s", accel=tuple(f"acc_{a}" for a in "xyz"), accel_unit="g")
+    named = column_map(time="time_s", time_unit="s", accel=tuple(f"acc_{a}" for a in "xyz"), accel_unit="g")
     assert read_record(path, named).accel_unit == "g"  # a map overrules
 
 
 def test_xdf_streams_are_told_apart_by_name_and_number(tmp_path):
     path = xdf(tmp_path / "a.xdf", [("IMU", IMU, 1.6e9), ("IMU", IMU, 1.6e9), ("Slow", IMU[:3], 0.0)])
     assert describe(path).columns == ("IMU#1", "IMU#2", "Slow")
-    read = read_counted(path, settings=sensor("IMU#2"))
+    read = read_counted(path, sensor("IMU#2"))
     assert read.record.time[0] == 0.0
     assert read.notes[0] == "time 0 is 1600000000.000 s of the file's clock (Unix time)"
-    assert read_record(path, settings=sensor("Slow")).gyro is None
+    assert read_record(path, sensor("Slow")).gyro is None
 
 
 # ---- ROS: figures of makers/ros_bag_imu/SOURCE.md
@@ -168,11 +169,11 @@ def test_the_folder_of_a_ros_2_bag_reads_with_the_temperature_beside_its_imu(tmp
 def test_a_covariance_of_minus_one_means_that_the_channel_is_absent(tmp_path):
     topics = [("/a", "Imu", imu_messages(gyro=-1.0)), ("/b", "Imu", imu_messages(gyro=-1.0, accel=-1.0))]
     path = bag(tmp_path / "walk", topics)
-    read = read_counted(path, settings=sensor("/a"))
+    read = read_counted(path, sensor("/a"))
     assert (read.record.gyro, read.record.accel[0, 2]) == (None, 9.81)
     assert "gyro left out: its covariance marks it as not available (-1)" in read.notes
     with pytest.raises(InputError, match=r"expected readings in /b, got none \(covariance -1\). Name another topic"):
-        read_record(path, settings=sensor("/b"))
+        read_record(path, sensor("/b"))
     with pytest.raises(InputError, match=r"expected the name of one topic, got a file with /a, /b. Name one of them"):
         read_record(path)
 
@@ -183,10 +184,10 @@ LOG = ("makers", "px4_ulog", "sample_log_small.ulg")
 
 
 def test_sensor_combined_is_corrected_already_and_says_so():
-    read = read_counted(data_path(*LOG), settings=sensor("sensor_combined"))
+    read = read_counted(data_path(*LOG), sensor("sensor_combined"))
     record = read.record
     assert (len(record), record.state, record.frame) == (1298, "corrected", "b")
-    slow = read_record(data_path(*LOG), settings=sensor("0"))  # the gyroscope that sensor_selection names
+    slow = read_record(data_path(*LOG), sensor("0"))  # the gyroscope that sensor_selection names
     np.testing.assert_allclose(record.temp_c, np.interp(record.time, slow.time, slow.temp_c), atol=1e-5)
     assert read.notes[-1] == "temperature of sensor_gyro 0, which the autopilot chose, interpolated"
     assert (len(record) - 1) / record.duration_s == pytest.approx(199.7, abs=0.05)
@@ -198,7 +199,7 @@ def test_sensor_combined_is_corrected_already_and_says_so():
 
 @pytest.mark.parametrize(("number", "size", "temp_c"), [("0", 9.758, 40.0), ("1", 9.922, 28.3), ("2", 9.836, 29.6)])
 def test_each_imu_of_a_ulog_has_its_own_readings_and_temperature(number, size, temp_c):
-    record = read_record(data_path(*LOG), settings=sensor(number))
+    record = read_record(data_path(*LOG), sensor(number))
     assert (len(record), record.state, record.gyro_unit, record.accel_unit) == (6, "raw", "rad/s", "m/s2")
     assert record.sample_rate_hz == pytest.approx(1.0, abs=0.001)
     assert median_size(record) == pytest.approx(size, abs=0.0005)
@@ -251,14 +252,14 @@ def test_a_log_that_lost_its_end_is_read_as_far_as_it_is_whole_when_that_is_aske
     content = data_path(*LOG).read_bytes()
     (tmp_path / "a.ulg").write_bytes(content[: len(content) // 2])
     with pytest.raises(FileFormatError, match=r"messages are truncated .* drop_bad_rows = true in a map"):
-        read_record(tmp_path / "a.ulg", settings=sensor("sensor_combined"))
-    settings = ReadSettings(sensor="sensor_combined", drop_bad_rows=True)
-    assert 500 < len(read_record(tmp_path / "a.ulg", settings=settings)) < 800
+        read_record(tmp_path / "a.ulg", sensor("sensor_combined"))
+    settings = ColumnMap(sensor="sensor_combined", drop_bad_rows=True)
+    assert 500 < len(read_record(tmp_path / "a.ulg", settings)) < 800
     broken = bytearray(content)
     broken[500_000:500_400] = b"\xff" * 400
     (tmp_path / "b.ulg").write_bytes(broken)
     with pytest.raises(FileFormatError, match="damaged or truncated"):
-        read_record(tmp_path / "b.ulg", settings=sensor("sensor_combined"))
+        read_record(tmp_path / "b.ulg", sensor("sensor_combined"))
 
 
 # ---- NilsPod: figures of makers/nilspod_bin/SOURCE.md and ferraris_nilspod
@@ -341,11 +342,11 @@ def test_a_cut_or_overwritten_container_ends_in_one_line(tmp_path, name):
     ):
         copy.write_bytes(content)
         with pytest.raises(InputError, match=r"^\S+: (.*expected .*, got .*\. |.*damaged or truncated)") as caught:
-            read_record(copy, settings=sensor(SAMPLES[name]))
+            read_record(copy, sensor(SAMPLES[name]))
         assert "\n" not in str(caught.value)
     copy.write_bytes(whole[: int(0.9 * len(whole))])
     with pytest.raises(FileFormatError):
-        read_record(copy, settings=sensor(SAMPLES[name]))
+        read_record(copy, sensor(SAMPLES[name]))
 
 
 def test_an_xdf_that_is_damaged_inside_is_not_read_in_part(tmp_path):

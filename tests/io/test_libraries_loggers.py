@@ -8,10 +8,10 @@ import pytest
 
 from testkit.data import data_path
 from undrift.errors import FileFormatError
-from undrift.io.columns import ReadSettings
+from undrift.io.column_map import ColumnMap
 from undrift.io.formats import detect, read_counted, read_record
 
-WHOLE = ReadSettings(drop_bad_rows=True)
+WHOLE = ColumnMap(drop_bad_rows=True)
 
 
 def at_rest(accel, values, size=200):
@@ -51,7 +51,7 @@ def test_a_cut_cwa_file_is_refused_or_read_to_its_last_whole_sector(tmp_path):
     (tmp_path / "a.cwa").write_bytes(whole[: 1024 + 512 * 10 + 100])
     with pytest.raises(FileFormatError, match="ends within a sector"):
         read_record(tmp_path / "a.cwa")
-    assert len(read_record(tmp_path / "a.cwa", settings=WHOLE)) == 1200
+    assert len(read_record(tmp_path / "a.cwa", WHOLE)) == 1200
 
 
 # ---- GENEActiv: figures of makers/geneactiv_bin/SOURCE.md
@@ -74,7 +74,7 @@ def test_a_cut_geneactiv_file_is_refused_or_read_as_far_as_it_goes():
     path = data_path("makers", "geneactiv_bin", "GENEActiv_testfile.bin")
     with pytest.raises(FileFormatError, match="222048 pages are missing"):
         read_record(path)
-    record = read_record(path, settings=WHOLE)
+    record = read_record(path, WHOLE)
     assert len(record) >= 4800
     assert record.sample_rate_hz == pytest.approx(85.7, rel=1e-3)
 

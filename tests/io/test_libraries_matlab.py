@@ -4,9 +4,9 @@ import numpy as np
 from scipy.io import savemat
 
 import undrift
-from undrift.io.columns import ColumnMap
+from testkit.column_maps import column_map
 
-MAP = ColumnMap(gyro=("w",), gyro_unit="dps", accel=("a",), accel_unit="g", time="t", time_unit="s")
+MAP = column_map(gyro=("w",), gyro_unit="dps", accel=("a",), accel_unit="g", time="t", time_unit="s")
 
 
 def test_arrays_with_time_along_their_columns_are_turned(tmp_path):

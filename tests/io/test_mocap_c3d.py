@@ -64,7 +64,7 @@ def test_a_file_longer_than_its_header_promises_is_refused(tmp_path):
     whole = path.read_bytes()
     for count in (1, 511, 512):  # bytes that came in among the points shift all that follow
         path.write_bytes(whole[:-300] + bytes(count) + whole[-300:])
-        with pytest.raises(FileFormatError, match=r"bytes as its header promises, got \d+; the file is damaged"):
+        with pytest.raises(FileFormatError, match=r"bytes as its header promises, got \d+"):
             read_c3d(path)
 
 

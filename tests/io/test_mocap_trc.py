@@ -51,16 +51,16 @@ def test_a_row_that_ends_early_is_a_gap(tmp_path):
     ("change", "words"),
     [
         (lambda t: t.replace("PathFileType", "Something"), "expected a TRC file .first word PathFileType."),
-        (lambda t: t.replace("NumMarkers", "Number"), "expected DataRate, NumMarkers, Units in lines 2 and 3"),
-        (lambda t: t.replace("\t3\t2\tm", "\t3\t7\tm"), "expected 7 marker labels in line 4 .NumMarkers., got 2"),
+        (lambda t: t.replace("NumMarkers", "Number"), "DataRate, NumMarkers, Units in lines 2 and"),
+        (lambda t: t.replace("\t3\t2\tm", "\t3\t7\tm"), "7 marker labels in line 4"),
         (lambda t: t.replace("\t3\t2\tm", "\t3\tmany\tm"), "expected NumMarkers of 1 or more in line 3, got 'many'"),
-        (lambda t: t.replace("\tm\t", "\tfurlong\t"), "unit of length: expected one of m, cm, mm"),
+        (lambda t: t.replace("\tm\t", "\tfurlong\t"), "unit of length:"),
         (lambda t: t.replace("0.01\t1.0", "0.01\tlost"), "expected numbers in line 8, got text"),
         (
             lambda t: t.replace("0.01\t1.0", "0.01\t1.0\t1.0"),
             "expected 8 columns in line 8, got 9",
         ),
-        (lambda t: t.replace("\t0.01\t", "\t0.0\t"), "expected strictly increasing seconds"),
+        (lambda t: t.replace("\t0.01\t", "\t0.0\t"), "strictly increasing seconds"),
         (
             lambda t: "\n".join(t.splitlines()[:7]),
             "expected 3 frames .NumFrames in line 3., got 1. The file is truncated",

@@ -9,10 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from testkit.column_maps import column_map
 from testkit.strategies import assert_same, few, records
 from undrift.errors import FileFormatError, InputError
-from undrift.io.columns import ColumnMap
-from undrift.io.parquet import ParquetWriter, iter_parquet, parquet_names, parquet_rows, read_parquet, write_parquet
+from undrift.io.formats import read_counted
+from undrift.io.parquet import ParquetWriter, iter_parquet, parquet_names, parquet_rows, write_parquet
 from undrift.record import Record
 
 
@@ -30,7 +31,7 @@ def joined(chunks):
 def test_a_record_comes_back_to_the_last_bit(tmp_path_factory, record):
     path = tmp_path_factory.mktemp("parquet") / "r.parquet"
     write_parquet(record, path)
-    assert_same(read_parquet(path).record, record)
+    assert_same(read_counted(path).record, record)
     assert parquet_rows(path) == len(record)
     assert parquet_names(path)[0] == "time_s"
 
@@ -77,7 +78,7 @@ def test_a_writer_takes_chunks_and_the_file_appears_only_at_the_end(tmp_path):
         for start in range(0, 100, 30):
             writer.write(record.part(start, min(start + 30, 100)))
         assert not path.exists()
-    assert_same(read_parquet(path).record, record)
+    assert_same(read_counted(path).record, record)
     assert [p.name for p in tmp_path.iterdir()] == ["r.parquet"]
 
 
@@ -111,21 +112,21 @@ def test_foreign_parquet_reads_through_a_map(tmp_path):
         pa.table({"t": [0, 10, 20], "a": [1, 2, 3], "b": [4, 5, 6], "c": [7.0, None, 9.0]}), tmp_path / "f.parquet"
     )
     keys = {"time": "t", "time_unit": "ms", "gyro": ("a", "b", "c"), "gyro_unit": "count"}
-    record = read_parquet(tmp_path / "f.parquet", ColumnMap(**keys, gaps="keep")).record
+    record = read_counted(tmp_path / "f.parquet", column_map(**keys, gaps="keep")).record
     np.testing.assert_allclose(record.time, [0.0, 0.01, 0.02])
     assert np.isnan(record.gyro[1, 2])
     with pytest.raises(InputError, match=r"column 'c': .* got 1 empty or NaN cells"):
-        read_parquet(tmp_path / "f.parquet", ColumnMap(**keys))
+        read_counted(tmp_path / "f.parquet", column_map(**keys))
     with pytest.raises(InputError, match=r"f.parquet: columns: expected names such as"):
-        read_parquet(tmp_path / "f.parquet")
+        read_counted(tmp_path / "f.parquet")
 
 
 def test_time_that_goes_back_between_chunks_is_refused(tmp_path):
     columns = {"time_s": [0.0, 1.0, 0.5, 2.0], **{f"gyro_{a}_dps": [0.0] * 4 for a in "xyz"}}
     pq.write_table(pa.table(columns), tmp_path / "f.parquet")
-    with pytest.raises(InputError, match=r"expected strictly increasing time, got 1 s then 0.5 s"):
+    with pytest.raises(InputError, match=r"strictly increasing time, got 1 s then 0\.5"):
         list(iter_parquet(tmp_path / "f.parquet", rows=2))
-    with pytest.raises(InputError, match="expected two samples or more in a chunk, got 1"):
+    with pytest.raises(InputError, match="two samples or more in a chunk, got 1"):
         list(iter_parquet(tmp_path / "f.parquet", rows=1))
 
 
@@ -136,15 +137,15 @@ def test_an_unknown_version_a_cut_file_and_other_content_are_refused(tmp_path):
     pq.write_table(
         held.replace_schema_metadata({b"undrift": b'{"kind": "undrift.record", "format": 9}'}), tmp_path / "v.parquet"
     )
-    with pytest.raises(FileFormatError, match=r"expected undrift.record format 1, got undrift.record format 9"):
-        read_parquet(tmp_path / "v.parquet")
+    with pytest.raises(FileFormatError, match=r"undrift\.record format 1, got undrift\.record format"):
+        read_counted(tmp_path / "v.parquet")
     (tmp_path / "cut.parquet").write_bytes(path.read_bytes()[:-30])
     with pytest.raises(FileFormatError, match="expected a Parquet file"):
-        read_parquet(tmp_path / "cut.parquet")
+        read_counted(tmp_path / "cut.parquet")
     damaged = bytearray(path.read_bytes())
     damaged[8:400] = b"\xff" * 392
     (tmp_path / "d.parquet").write_bytes(damaged)
     with pytest.raises(FileFormatError, match="expected a sound Parquet file"):
-        read_parquet(tmp_path / "d.parquet")
+        read_counted(tmp_path / "d.parquet")
     with pytest.raises(FileFormatError, match="expected a sound Parquet file"):
         list(iter_parquet(tmp_path / "d.parquet"))

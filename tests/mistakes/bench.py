@@ -26,7 +26,7 @@ from mistakes.planting import (
     with_recordings,
 )
 from mistakes.sound import GYRO, Recording, poses, trial
-from undrift.io.session import read_map
+from undrift.io.column_map import read_map
 from undrift.io.text import write_rows
 from undrift.record import Session, Still, Turn
 from undrift.sim.motion.bench import BenchSettings
@@ -168,7 +168,7 @@ def walk_error(_: Case, __: Path, told: Told) -> Wrong:
 
 def read_error(case: Case, folder: Path, _: Told) -> Wrong:
     """Return the error of what was read, before any correction."""
-    return record_error(undrift.read_record(folder / "recording0.csv", read_map(folder / "map.toml")[0]), case.expected)
+    return record_error(undrift.read_record(folder / "recording0.csv", read_map(folder / "map.toml")), case.expected)
 
 
 # ---- changes of one thing

@@ -8,7 +8,7 @@ import pytest
 
 from testkit.rig_bench import SHORT, UP, Device, Hands, run, simulated
 from undrift.errors import RigFault
-from undrift.io.parquet import read_parquet
+from undrift.io.formats import read_counted
 from undrift.programme import Dwell
 from undrift.record import FACES, Record
 from undrift.rig.judge import APART, STILL, Disturbed, RestCheck
@@ -118,7 +118,7 @@ def test_a_wrong_face_in_counts_is_repeated_after_its_file_was_deleted(tmp_path,
     (path / file).unlink()
     result, hands = run(simulated(), path, protocol, readings=InCounts, resume=True)
     assert hands.mounted[0] == delete
-    read = {piece.up: read_parquet(path / piece.name).record.accel.mean(axis=0) for piece in result.pieces}
+    read = {piece.up: read_counted(path / piece.name).record.accel.mean(axis=0) for piece in result.pieces}
     for up in SIX:
         assert np.allclose(read[up], 1700.0 * STANDARD_GRAVITY * UP[up] + [300.0, -80.0, 40.0], atol=5.0)
     assert run(simulated(), path, protocol, readings=InCounts, resume=True)[0].added == 0
@@ -130,7 +130,7 @@ def test_a_wrong_face_in_counts_is_mounted_again(tmp_path, wrong):
     result, hands = run(bench, tmp_path / "run", protocol, readings=InCounts, hands=Hands(bench, wrong))
     assert (len(hands.mounted), len(result.pieces)) == (7, 6)
     for piece in result.pieces:
-        mean = read_parquet(tmp_path / "run" / piece.name).record.accel.mean(axis=0)
+        mean = read_counted(tmp_path / "run" / piece.name).record.accel.mean(axis=0)
         assert np.allclose(mean, 1700.0 * STANDARD_GRAVITY * UP[piece.up] + [300.0, -80.0, 40.0], atol=5.0)
 
 
@@ -166,7 +166,7 @@ def test_a_run_takes_a_disturbed_rest_again_and_keeps_only_sound_ones(tmp_path, 
     assert device.taken == 3 + len(pushed) + len(forgot)
     assert len(hands.mounted) == device.taken  # mounted again each time
     for piece in result.pieces:
-        record = read_parquet(tmp_path / piece.name).record
+        record = read_counted(tmp_path / piece.name).record
         assert np.allclose(record.accel.mean(axis=0), STANDARD_GRAVITY * UP[piece.up], atol=0.01)
         assert np.ptp(record.gyro, axis=0).max() < 0.2
 

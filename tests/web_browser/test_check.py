@@ -11,9 +11,9 @@ from playwright.sync_api import Page, expect
 
 import undrift
 from testkit.bench import BenchServer
+from undrift.io.column_map import read_map
 from undrift.io.formats import read_record
 from undrift.io.parquet import write_parquet
-from undrift.io.session import read_map
 from undrift.model import Calibration
 from undrift.record import Record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -127,6 +127,6 @@ def test_the_sign_of_a_column_is_chosen_and_its_map_has_it(
     page.get_by_role("button", name="Read the file").click()
     expect(page.get_by_role("link", name="Calibrate from it")).to_be_visible()
     (path,) = bench_server.folder.glob("uploads/*/map.toml")
-    read = read_record(path.with_name("log.csv"), read_map(path)[0])
+    read = read_record(path.with_name("log.csv"), read_map(path))
     assert np.abs(np.asarray(read.in_si().accel) - np.asarray(turned.accel)).max() < 1e-4
     assert complaints == []

@@ -376,7 +376,7 @@ def _offset_left(
     """Return the remaining offset of a corrected recording. At a rest, only as many readings are read as needed."""
     from undrift.correction.correct import offset_left
     from undrift.correction.rest import find_rest_offset_in, known_rest_offset, moved_by
-    from undrift.io.columns import naming
+    from undrift.io.column_map import naming
     from undrift.record import joined
 
     with naming(record):

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from undrift.correction.rest import Stretch
     from undrift.findings import Finding
-    from undrift.io.columns import ColumnMap, ReadSettings
+    from undrift.io.column_map import ColumnMap
     from undrift.io.reference import ReferenceMap
     from undrift.model import BodyMounting, Calibration
     from undrift.record import FileMap, GravitySource, Kind, Record, Reference, Session
@@ -68,10 +68,13 @@ class Opening:
         return replace(self, kept=Kept(path, model.file_map))
 
     def file_map(self) -> "FileMap | None":
-        """Return the map modified by the options, or None if both are empty."""
-        from undrift.io.session import read_file_map
+        """Return the map with the options over it; None where neither states anything."""
+        from undrift.io.column_map import ColumnMap, file_map_of, read_map
 
-        return read_file_map(self.column_map, **self._options())
+        if self.column_map is not None:
+            return file_map_of(read_map(self.column_map, **self._options()))
+        stated = {key: value for key, value in self._options().items() if value is not None}
+        return file_map_of(ColumnMap(**stated)) if stated else None
 
     def words(self) -> list[object]:
         """Return the options as they were given."""
@@ -86,17 +89,16 @@ class Opening:
     def _options(self) -> dict[str, Any]:
         return {"sample_rate_hz": self.sample_rate_hz, "sensor": self.sensor}
 
-    def how(self, path: Path) -> "tuple[ColumnMap | None, ReadSettings]":
+    def how(self, path: Path) -> "ColumnMap":
         """Return how to read a file: by the map that was named, else as it is, else by the map that the calibration keeps."""
+        from undrift.io.column_map import map_of, one_map, read_map
         from undrift.io.inspect import needs_map
-        from undrift.io.session import entry_of, map_and_settings, read_map
 
         if self.column_map is not None:
-            return read_map(self.column_map, **self._options())
-        stored_map = None if self.kept is None else self.kept.file_map
-        if entry_of(stored_map).columns is not None and not needs_map(path):
-            stored_map = None
-        return map_and_settings(stored_map, **self._options())
+            return one_map(read_map(self.column_map, **self._options()))
+        kept = map_of(None if self.kept is None else self.kept.file_map)
+        kept = map_of(None) if kept.columns is not None and not needs_map(path) else kept
+        return one_map(kept.but(**{key: value for key, value in self._options().items() if value is not None}))
 
     @contextmanager
     def _fitting(self, path: Path) -> Iterator[None]:
@@ -118,16 +120,14 @@ class Opening:
         from undrift.io.formats import read_record
 
         with self._fitting(path):
-            columns, settings = self.how(path)
-            return read_record(path, columns, settings=settings)
+            return read_record(path, self.how(path))
 
     def chunks(self, path: Path) -> "Iterator[Record]":
         """Read one file in chunks."""
         from undrift.io.formats import iter_record
 
         with self._fitting(path):
-            columns, settings = self.how(path)
-            yield from iter_record(path, columns, settings=settings)
+            yield from iter_record(path, self.how(path))
 
     def read(self, path: Path) -> "Record":
         """Read a recording. For a session folder, read its only recording."""
@@ -245,8 +245,9 @@ def session_of(files: tuple[Path, ...], place: Place, opening: Opening, *, kind:
 def thermal_session(path: Path, opening: Opening, model: "Calibration | None") -> "Session":
     """Read a session. A single recording becomes a session."""
     from undrift.files import sha256_of
+    from undrift.io.column_map import file_map_of, map_of
     from undrift.io.formats import detect
-    from undrift.io.session import entry_of, file_map_of, read_session
+    from undrift.io.session import read_session
     from undrift.record import Session
     from undrift.units import STANDARD_GRAVITY
 
@@ -256,7 +257,7 @@ def thermal_session(path: Path, opening: Opening, model: "Calibration | None") -
     record = opening.record(path)
     inputs = ((path.name, sha256_of(path)),) if path.is_file() else ()
     # a stretch belongs to one recording
-    file_map = file_map and file_map_of(entry_of(file_map), without=("leave_out",))
+    file_map = file_map and file_map_of(map_of(file_map), without=("leave_out",))
     about: Any = {"serial": record.device, "gravity_m_s2": gravity_m_s2, "inputs": inputs, "file_map": file_map}
     return Session(kind="thermal", records=(record,), **about)
 
@@ -271,12 +272,11 @@ def is_recording(path: Path) -> bool:
 
 
 def _files_of(folder: Path) -> list[list[str]]:
-    """Return the files of each recording in a session."""
-    from undrift.base.codec import read
-    from undrift.io.session import NAME, SessionFile
+    """Return the files of each recording that a session states."""
+    from undrift.io.column_map import read_toml
+    from undrift.io.session import NAME, SessionFile, files_of
 
-    entries = (entry.file for entry in read(SessionFile, folder / NAME).recording)
-    return [[file] if isinstance(file, str) else file for file in entries]
+    return [files_of(entry) for entry in read_toml(SessionFile, folder / NAME)[0].recording]
 
 
 def recording_of(files: tuple[Path, ...]) -> Path | None:

@@ -163,17 +163,16 @@ def _describe_file(file: Path, opening: Opening, up: Up) -> "tuple[Description, 
     poses = None if opening.column_map is None else read_reference_map(opening.column_map)
     if poses is not None:
         return describe_poses(file, poses), replace(opening, column_map=None)
-    columns, settings = opening.how(file)
-    return describe(file, columns, settings=settings, up=up), opening
+    return describe(file, opening.how(file), up=up), opening
 
 
 def _write_map(description: "Description", path: Path, proposal: Proposal, opening: Opening) -> Summary:
     """Write the map that a table seems to need, each unit with its reason."""
     from undrift.files import write_whole
-    from undrift.io.proposal import map_of
+    from undrift.io.proposal import map_text
 
     units = {"gyro": proposal.gyro_unit, "accel": proposal.accel_unit}
-    text = map_of(description, sample_rate_hz=opening.sample_rate_hz, units=units)
+    text = map_text(description, sample_rate_hz=opening.sample_rate_hz, units=units)
     write_whole(path, text)
     lines, complete = text.splitlines(), '"?"' not in text
     advice = f"replace each ? in {path}" + ", or repeat with `gyro_unit` or `accel_unit`" * (not of_poses(description))

@@ -314,12 +314,12 @@ class _Recording:
 
     def _read_back(self, full: str) -> "tuple[Record, Path, str]":
         """Return all readings, their file, and the reason if it is not the requested file."""
-        from undrift.io.columns import ReadSettings
+        from undrift.io.column_map import ColumnMap
         from undrift.io.formats import read_record
         from undrift.io.write import write_record_as
 
         description, timeline = self.source.recorder.source.description, self.source.recorder.timeline
-        record = replace(read_record(self.file, settings=ReadSettings(gaps="keep")), device=description.device)
+        record = replace(read_record(self.file, ColumnMap(gaps="keep")), device=description.device)
         # A rate that was found in seconds is better known now, by this computer's clock
         if (
             self.listened

@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from undrift.errors import FileFormatError, InputError
-from undrift.io.columns import Column, ColumnMap, RawTable, ReadResult, ReadSettings, build_record, native_map
+from undrift.io.column_map import Column, ColumnMap, native_map
+from undrift.io.columns import RawTable
 from undrift.io.isolated import Parsed, library, read_isolated
 
 Arrays = tuple[tuple[str, NDArray[Any]], ...]
@@ -20,11 +22,11 @@ def mat_arrays(path: Path) -> Arrays:
     return tuple(read_isolated(Path(path), "mat").table.items())
 
 
-def read_mat(path: Path, columns: ColumnMap | None, settings: ReadSettings) -> ReadResult:
-    """Read a record from the arrays of a MAT file, version 5 to 7.3, through a map."""
+def read_mat(path: Path, how: ColumnMap) -> RawTable:
+    """Read the arrays of a MAT file, version 5 to 7.3."""
     arrays = mat_arrays(path)
-    columns = columns or native_map(tuple(name for name, _ in arrays), settings, source=str(path))
-    return build_record(table_of_arrays(arrays, path, columns.wanted()), columns)
+    own = None if how.columns else native_map(tuple(name for name, _ in arrays), how, source=str(path))
+    return replace(table_of_arrays(arrays, path, (own or how).wanted()), own=own)
 
 
 def table_of_arrays(arrays: Arrays, path: str | Path, wanted: tuple[Column, ...]) -> RawTable:
@@ -76,5 +78,8 @@ def _flat(prefix: str, value: Any) -> Iterator[tuple[str, NDArray[Any]]]:
     array = np.asarray(value) if isinstance(value, (np.ndarray, int, float)) else np.empty(0, dtype=object)
     if array.dtype.kind in "fiub":
         array = np.atleast_1d(array.squeeze() if array.ndim == 2 and 1 in array.shape else array)
-        # x, y, z by rows, as MATLAB code often has them, are turned
-        yield prefix, array.T if array.ndim == 2 and array.shape[0] in (3, 4) and array.shape[1] >= 16 else array
+        # axes by rows, as MATLAB code often has them, are turned; rotation matrices (3, 3, N) become rows of nine
+        if array.ndim == 3 and array.shape[:2] == (3, 3):
+            array = np.moveaxis(array, 2, 0).reshape(-1, 9)
+        by_rows = array.ndim == 2 and array.shape[0] in (3, 4, 6) and array.shape[1] >= 16
+        yield prefix, array.T if by_rows else array

@@ -1,308 +1,40 @@
-"""Convert named columns of a file to a Record: the channel and unit of each column, and all checks of a reader.
+"""From the named columns of a file to a Record: here, and only here, every value, unit and time that a reader returns is checked.
 
-    value = gain * cell + offset          then the unit is applied (default gain 1, offset 0)
+    value = gain * cell + offset          then the unit is applied; gain 1 and offset 0 unless a ChannelScale is given
 
-Nothing is guessed: a foreign file needs a ColumnMap. A file with undrift's own column names (``time_s``, ``gyro_x_dps``,
-``accel_y_m_s2``, ``temp_c``, ``mag_z_ut``, ...) needs none: :func:`native_map` recognises exactly those.
+A reader returns a :class:`RawTable`. The map names its columns: a foreign map, or the one that the file states itself.
 """
 
-import itertools
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any, get_args
 
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
-from undrift.base.codec import stored, tree_of
-from undrift.errors import FileFormatError, InputError, check_choices
+from undrift.base.codec import tree_of
+from undrift.errors import FileFormatError, InputError
 from undrift.frames import Frame
 from undrift.io.clock import ClockFit, fit_clock, unwrapped
+from undrift.io.column_map import (
+    AXES,
+    NATIVE,
+    QUANTITY,
+    Channel,
+    Column,
+    ColumnMap,
+    check_map,
+    map_of_channels,
+    naming,
+)
 from undrift.record import ForceUncertainty, Record, State, sample_rate_of
-from undrift.units import DEVICE_UNITS, Quantity, canonical_unit, si_factor
+from undrift.units import si_factor
 
-Column: TypeAlias = str | int
-Channel = Literal["time", "gyro", "accel", "temp", "mag"]
-Gaps = Literal["raise", "keep"]
-Clock = Literal["file", "regular"]
-Names: TypeAlias = tuple[str, ...] | list[str]
-CHANNELS: tuple[Channel, ...] = ("time", "gyro", "accel", "temp", "mag")
-QUANTITY: dict[Channel, Quantity] = {"time": "time", "gyro": "rate", "accel": "accel", "temp": "temp", "mag": "mag"}
-AXES = ("x", "y", "z")
 EPOCH_S = 1e8  # a clock beyond this counts from 1970: it is shown from its first sample
 KIND, FORMAT = "undrift.record", 1  # of undrift's own recordings, in Parquet and next to CSV
-_SENSOR = {"time": "time", "gyro": "gyroscope", "accel": "accelerometer", "temp": "temperature", "mag": "magnetometer"}
-EXAMPLE = 'gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"], temp = "T"'
-
-# Ending of a native column name for each unit that a channel may have.
-GYRO_SUFFIX = {"rad/s": "rad_s", "dps": "dps", "count": "count", "v": "v"}
-ACCEL_SUFFIX = {"m/s2": "m_s2", "g": "g", "mg": "mg", "count": "count", "v": "v"}
-NATIVE = {"gyro": GYRO_SUFFIX, "accel": ACCEL_SUFFIX, "mag": {"ut": "ut"}}
-
-
-@dataclass(frozen=True, slots=True)
-class ChannelScale:
-    """A linear conversion of a channel: value = gain * cell + offset."""
-
-    # unit of the channel per unit of the file, or three values if the axes differ in scale or sign
-    gain: float | tuple[float, float, float] = 1.0
-    offset: float | tuple[float, float, float] = 0.0  # Added afterwards, in the unit of the channel
-
-    def applied(self, cells: FloatArray, axis: int) -> FloatArray:
-        """Return the converted values of an axis."""
-        gain, offset = (x[axis] if isinstance(x, tuple) else x for x in (self.gain, self.offset))
-        return cells if (gain, offset) == (1.0, 0.0) else gain * cells + offset
-
-
-@stored()
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TextLayout:
-    """Layout of a text table."""
-
-    delimiter: str = ","  # a single character; " " means any number of blanks or tabs
-    header: bool = True  # True if the first line after the skipped lines contains the column names
-    skip_rows: int = 0  # lines before the header, or before the first row without a header
-    decimal: str = "."  # "." or ","
-    # drop and count rows with another number of columns, or with text in place of a number
-    drop_bad_rows: bool = False
-
-    def __post_init__(self) -> None:
-        if len(self.delimiter) != 1 or self.delimiter in "\r\n":
-            raise InputError(
-                f"delimiter: expected one character, got {self.delimiter!r}. Use ',' ';' '\\t', or ' ' for any number of blanks."
-            )
-        if self.decimal not in (".", ",") or self.decimal == self.delimiter:
-            raise InputError(f"decimal: expected '.' or ',' and not the delimiter, got {self.decimal!r}")
-        if self.skip_rows < 0:
-            raise InputError(f"skip_rows: expected 0 or more, got {self.skip_rows}")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ColumnMap:
-    """Columns and units of the channels in a file."""
-
-    time: Column | None = None  # time column, required unless ``sample_rate_hz`` is set
-    gyro: tuple[Column, ...] | None = None  # Three columns x, y, z
-    accel: tuple[Column, ...] | None = None
-    temp: Column | None = None  # Temperature column
-    mag: tuple[Column, ...] | None = None  # Three columns x, y, z
-    counter: Column | None = None  # sample counter of the device for a regular clock; may wrap
-    time_unit: str = ""  # units after the scale, any spelling of :mod:`undrift.units`, or "date" for dates, year first
-    gyro_unit: str = ""
-    accel_unit: str = ""
-    temp_unit: str = ""
-    mag_unit: str = ""
-    gyro_scale: ChannelScale | None = None  # Conversions from the file's numbers to those units
-    accel_scale: ChannelScale | None = None
-    temp_scale: ChannelScale | None = None
-    mag_scale: ChannelScale | None = None
-    sample_rate_hz: float | None = None  # Hz, no default, checked against the time column if there is one
-    layout: TextLayout = field(default_factory=TextLayout)  # For text files
-    gaps: Gaps = "raise"  # "raise" refuses empty cells and NaN, "keep" keeps them as gaps
-    repair_time: bool = False  # Leave out rows whose time does not go forward. They are counted
-    clock: Clock = "file"  # "file" takes the time column as it is, "regular" fits a rate and an offset to it
-    frame: Frame = "s"  # "s" or "b"
-    state: State = "raw"  # "raw" or "corrected"
-    device: str = ""  # Serial number or name
-    accel_uncertainty: ForceUncertainty | None = None  # for a corrected recording that undrift wrote
-    offset_uncertainty: float | None = None  # rad/s, for a corrected recording that undrift wrote
-
-    def __post_init__(self) -> None:
-        if self.gyro is None and self.accel is None:
-            raise InputError(
-                f"columns: expected gyro or accel, got neither. Write, for example, columns = {{ {EXAMPLE} }}."
-            )
-        for channel in CHANNELS:
-            self._check_channel(channel)
-        for first, other in itertools.combinations(CHANNELS, 2):
-            both = [column for column in self.columns_of(first) if column in self.columns_of(other)]
-            if both:
-                raise InputError(
-                    f"columns: expected other columns for {_SENSOR[first]} than for {_SENSOR[other]}, got {both[0]!r} mapped as "
-                    "both. Name each column once."
-                )
-        if self.time is None and self.sample_rate_hz is None:
-            raise InputError("columns: expected a time column or sample_rate_hz, got neither. Add one of them.")
-        if self.sample_rate_hz is not None and not 0.0 < self.sample_rate_hz < 1e7:
-            raise InputError(f"sample_rate_hz: expected Hz above 0, got {self.sample_rate_hz:g}")
-        if self.gaps not in ("raise", "keep"):
-            raise InputError(f"gaps: expected 'raise' or 'keep', got {self.gaps!r}")
-        if self.clock not in ("file", "regular"):
-            raise InputError(f"clock: expected 'file' or 'regular', got {self.clock!r}")
-
-    def columns_of(self, channel: Channel) -> tuple[Column, ...]:
-        """Return the columns of a channel, none where it is not mapped."""
-        value = getattr(self, channel)
-        return () if value is None else value if isinstance(value, tuple) else (value,)
-
-    def unit_of(self, channel: Channel) -> str:
-        """Return the unit of a mapped channel in its one spelling."""
-        return canonical_unit(getattr(self, f"{channel}_unit"), QUANTITY[channel])
-
-    def mapped(self) -> tuple[Channel, ...]:
-        """Return the channels that have columns."""
-        return tuple(channel for channel in CHANNELS if self.columns_of(channel))
-
-    def wanted(self) -> tuple[Column, ...]:
-        """Return the columns of all channels, and the counter's."""
-        counter = () if self.counter is None else (self.counter,)
-        return (*(column for channel in CHANNELS for column in self.columns_of(channel)), *counter)
-
-    def numeric(self) -> tuple[Column, ...]:
-        """Return the columns that hold numbers: all but a time of dates."""
-        dates = (self.time,) if self.time is not None and self.unit_of("time") == "date" else ()
-        return tuple(column for column in self.wanted() if column not in dates)
-
-    def _check_channel(self, channel: Channel) -> None:
-        columns, unit = self.columns_of(channel), getattr(self, f"{channel}_unit")
-        if channel in ("gyro", "accel", "mag") and len(columns) not in (0, 1, 3):
-            raise InputError(f"columns.{channel}: expected three columns x, y, z, got {len(columns)}. Name all three.")
-        if columns and len(set(columns)) != len(columns):
-            raise InputError(
-                f"columns.{channel}: expected three different columns, got {list(columns)}. Name each axis once."
-            )
-        scale: ChannelScale | None = None if channel == "time" else getattr(self, f"{channel}_scale")
-        if (
-            channel == "temp"
-            and scale is not None
-            and (isinstance(scale.gain, tuple) or isinstance(scale.offset, tuple))
-        ):
-            raise InputError(
-                "scale.temp: expected one number for gain and offset, got three. Use one number, "
-                "because a thermometer has one axis."
-            )
-        if columns and not unit:
-            raise InputError(f"units.{channel}: expected the unit of {channel}, got none. Add the unit.")
-        if columns and canonical_unit(unit, QUANTITY[channel]) in DEVICE_UNITS and channel in ("temp", "mag"):
-            wanted = "degC" if channel == "temp" else "uT"
-            raise InputError(
-                f"units.{channel}: expected {wanted}, got {unit}. Set scale.{channel} (gain and offset to {wanted}) "
-                f'and units.{channel} = "{wanted}", or omit {channel}.'
-            )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TempFile:
-    """Separate text table of a thermometer. Temperatures are interpolated to the samples. The end values are extended."""
-
-    path: Path
-    time: Column = "time_s"  # Time column, on the recording's clock after the shift
-    temp: Column = "temp_c"
-    time_unit: str = "s"
-    temp_unit: str = "degC"
-    shift_s: float = 0.0  # Added to the thermometer's time, s
-    layout: TextLayout = field(default_factory=TextLayout)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ReadSettings:
-    """Settings for information that a file may lack."""
-
-    sample_rate_hz: float | None = None  # Hz, for a file without a time column (undrift's own names, x-IMU)
-    sensor: str | None = None  # Which sensor, stream or topic, in a file of several
-    # "raise" or "keep", overrides the map. None: as set in the map. Without a map, gaps are refused except in files
-    # that undrift wrote (a CSV with its sidecar file).
-    gaps: Gaps | None = None
-    # For a text or Parquet table with undrift's own names: leave out rows whose time does not go forward
-    repair_time: bool = False
-    drop_bad_rows: bool = False  # For a text table with undrift's own names: leave out rows that do not parse
-    temp_file: TempFile | None = None  # replaces a temperature in the recording
-    clock: Clock | None = None  # "file" or "regular", overrides the map; None: as set in the map, else "file"
-    # Stretches, s on the recording's clock: cut off at its ends, gaps between
-    leave_out: tuple[tuple[float, float], ...] = ()
-
-    def __post_init__(self) -> None:
-        check_choices(self, "read_record")
-
-
-READ_SETTINGS = ReadSettings()
-
-
-@contextmanager
-def naming(source: str | Path) -> Iterator[None]:
-    """Name the file in errors."""
-    try:
-        yield
-    except InputError as error:
-        raise type(error)(f"{source}: {error}" if source else str(error), **error.numbers) from error
-
-
-def native_map(names: Names, settings: ReadSettings = READ_SETTINGS, *, source: str = "") -> ColumnMap:
-    """Return the map of a file that uses undrift's own column names."""
-    columns: dict[str, Any] = {"time": "time_s" if "time_s" in names else None, "time_unit": "s"}
-    with naming(source):
-        for channel, suffixes in NATIVE.items():
-            columns[channel], columns[f"{channel}_unit"] = _native_triple(names, channel, suffixes)
-        if columns["gyro"] is None and columns["accel"] is None:
-            listing = ", ".join(repr(name) for name in names[:12]) or "no columns"
-            remainder = f", ... ({len(names)} columns)" if len(names) > 12 else ""
-            raise InputError(
-                f"columns: expected names such as gyro_x_dps or accel_x_m_s2, got {listing}{remainder}. Run undrift info "
-                f"FILE "
-                "--write-map map.toml to propose a map, and name the map with `column_map`."
-            )
-        columns["temp"], columns["temp_unit"] = ("temp_c", "degc") if "temp_c" in names else (None, "")
-        rate, gaps = settings.sample_rate_hz, settings.gaps or "raise"
-        clock = settings.clock or "file"
-        return ColumnMap(**columns, sample_rate_hz=rate, gaps=gaps, repair_time=settings.repair_time, clock=clock)
-
-
-def stated(columns: ColumnMap, marks: Mapping[str, Any], otherwise: str) -> ColumnMap:
-    """Return a map with the frame, state and device that undrift stored next to a table. Raise an error if there are
-    none.
-    """
-    frames, states = ({name: name for name in get_args(kind)} for kind in (Frame, State))
-    frame, state, device = (marks.get(key, "") for key in ("frame", "state", "device"))
-    try:
-        force = ForceUncertainty(**marks["accel_uncertainty"]) if marks.get("accel_uncertainty") else None
-    except (TypeError, InputError) as error:
-        raise FileFormatError(f"{otherwise}. Write the file again.") from error
-    rate = marks.get("offset_uncertainty")
-    known_rate = rate is None or (isinstance(rate, float) and 0.0 <= rate < math.inf)
-    if frame not in frames or state not in states or not isinstance(device, str) or not known_rate:
-        raise FileFormatError(f"{otherwise}. Write the file again.")
-    uncertainties: dict[str, Any] = {"accel_uncertainty": force, "offset_uncertainty": rate}
-    return replace(columns, frame=frames[frame], state=states[state], device=device, **uncertainties)
-
-
-def marks_of(record: Record) -> dict[str, Any]:
-    """Return the entries that undrift stores next to the columns of a record, for ``stated``."""
-    marks: dict[str, Any] = {"frame": record.frame, "state": record.state, "device": record.device}
-    if record.accel_uncertainty is not None:
-        marks["accel_uncertainty"] = tree_of(record.accel_uncertainty)
-    return marks if record.offset_uncertainty is None else marks | {"offset_uncertainty": record.offset_uncertainty}
-
-
-def is_native(names: Names) -> bool:
-    """Return True if a file uses undrift's own names for a gyroscope or an accelerometer."""
-    return any(
-        f"{channel}_{axis}_{suffix}" in names
-        for channel in ("gyro", "accel")
-        for suffix in NATIVE[channel].values()
-        for axis in AXES
-    )
-
-
-def _native_triple(names: Names, channel: str, suffixes: dict[str, str]) -> tuple[tuple[Column, ...] | None, str]:
-    triples: list[tuple[tuple[Column, ...], str]] = []
-    for unit, suffix in suffixes.items():
-        triple = tuple(f"{channel}_{axis}_{suffix}" for axis in AXES)
-        here = [name for name in triple if name in names]
-        if here and len(here) < 3:
-            raise InputError(
-                f"columns: expected {', '.join(triple)}, got only {', '.join(here)}. Add the missing axes or map the columns."
-            )
-        if here:
-            triples.append((triple, unit))
-    if len(triples) > 1:
-        raise InputError(
-            f"columns: expected {channel} in one unit, got {triples[0][1]} and {triples[1][1]}. Map the columns to use."
-        )
-    return triples[0] if triples else (None, "")
 
 
 # ---- a table of named columns
@@ -313,12 +45,20 @@ class RawTable:
     """Columns of a file."""
 
     source: str  # file, for error messages
-    names: tuple[str, ...]  # column names of the file, or positions as text without a header
-    # a numpy array or Arrow column for each name, all of the same length, with text if the cells are not numbers
+    names: tuple[str, ...]  # Column names as in the file; positions as text where there is no header
+    # One numpy array or Arrow column for each name, all of the same length; text where the cells are no numbers
     columns: tuple[Any, ...]
-    # (N,), number of each row in the file, from 0, if rows were left out, otherwise None
+    # (N,), number of each row in the file, from 0, where rows were left out; None where none was
     rows: IntArray | None = None
     dropped: int = 0  # Rows left out
+    own: ColumnMap | None = None  # map of the columns, if the file states it
+    marks: Mapping[str, Any] = field(
+        default_factory=dict
+    )  # state and uncertainties that the file states, keys of Record
+    notes: tuple[str, ...] = ()  # how it was read: units of a manual, lines skipped, what was left out
+    epoch_s: float = 0.0  # Unix time that was taken off the clock, s
+    # time (M,), s on the recording's clock, and temperature (M,), degC, of a thermometer of its own
+    thermometer: tuple[FloatArray, FloatArray] | None = None
 
     def __len__(self) -> int:
         return len(self.columns[0]) if self.columns else 0
@@ -331,7 +71,7 @@ class RawTable:
         """Return a column as float64."""
         position, numeric = self.position(column), "fiub"
         values = self.columns[position]
-        if not isinstance(values, np.ndarray):  # Arrow column, in which empty cells become NaN
+        if not isinstance(values, np.ndarray):  # Arrow column; a column of empty cells becomes NaN
             values, numeric = np.full(len(values), np.nan) if str(values.type) == "null" else values.to_numpy(), "fiu"
         if values.dtype.kind in numeric:
             return np.asarray(values, dtype=np.float64)
@@ -347,7 +87,7 @@ class RawTable:
         return int(index if self.rows is None else self.rows[index]) + 1
 
 
-_DATE = re.compile(  # 2026-01-31 12:00:00.250, 2026/1/31T12:00:00:250, 12:00:00, with or without a time zone
+_DATE = re.compile(  # 2026-01-31 12:00:00.250, 2026/1/31T12:00:00:250, with or without a time zone; 12:00:00
     r"(?:(\d{4})[-/.](\d\d?)[-/.](\d\d?)[ T_])?"
     r"(\d\d?):(\d\d):(\d\d)(?:[.,:](\d{1,9}))? *(?:Z|[-+]\d\d:?\d\d)?"
 )
@@ -364,7 +104,7 @@ def in_seconds(table: RawTable, column: Column) -> RawTable:
     """
     at = table.position(column)
     values = table.columns[at]
-    if not isinstance(values, np.ndarray):  # bytes that are not UTF-8 are reported below
+    if not isinstance(values, np.ndarray):  # bytes that are no UTF-8 are named below
         values = (values.cast("binary") if str(values.type) == "string" else values).to_numpy()
     if values.dtype.kind != "M":
         hits = [_DATE.fullmatch(str(_text(cell)).strip()) for cell in values]
@@ -424,12 +164,12 @@ def find_column(names: tuple[str, ...], column: Column, source: str) -> int:
     hits = hits or [i for i, name in enumerate(names) if name.strip() == column.strip()]
     if len(hits) == 1:
         return hits[0]
-    listing = ", ".join(repr(name) for name in names[:16]) + (", ..." if len(names) > 16 else "")
+    held = ", ".join(repr(name) for name in names[:16]) + (", ..." if len(names) > 16 else "")
     if hits:
         raise InputError(
             f"{source}: expected one column {column!r}, got {len(hits)}. Map the column by its position from 0."
         )
-    raise InputError(f"{source}: expected column {column!r}, got {listing or 'no columns'}. Check the mapping.")
+    raise InputError(f"{source}: expected column {column!r}, got {held or 'no columns'}. Check the mapping.")
 
 
 # ---- from a table and a map to a Record
@@ -450,137 +190,207 @@ class ReadResult:
     record: Record
     dropped_rows: int = 0  # Rows that did not parse
     repaired_rows: int = 0  # Rows whose time did not go forward
-    notes: tuple[str, ...] = ()  # notes on the reading: units of a manual, lines skipped, rows left out
-    clock: ClockFit | None = None  # the fitted regular clock
+    notes: tuple[str, ...] = ()  # How it was read: units of a manual, lines skipped, what was left out
+    clock: ClockFit | None = None  # Where a regular clock was fitted
     epoch_s: float = 0.0  # Unix time that was taken off the clock, s
 
 
-def build_record(table: RawTable, columns: ColumnMap) -> ReadResult:
-    """Return the record in a table, with every value checked."""
+def build_record(table: RawTable, column_map: ColumnMap | None = None) -> ReadResult:
+    """Return the record in a table by a map, or by the file's own map if the map names no columns. Every value is checked."""
+    given = column_map is not None and column_map.columns is not None
+    how = column_map if given else table.own
+    if how is None:
+        raise InputError(f"{table.source}: the columns and units are not known. Name them in a map (`column_map`).")
+    check_map(how)
     if len(table) < 2:
         raise FileFormatError(
             f"{table.source}: expected two rows or more, got {len(table)}. The file contains no recording."
         )
-    if columns.time is not None and columns.unit_of("time") == "date":
-        table = in_seconds(table, columns.time)
-    time = _time(table, columns)
-    fitted = columns.clock == "regular"
-    keep = _never_back(time, columns) if fitted else _forward(table, time, columns)
-    values = {channel: _channel(table, columns, channel) for channel in columns.mapped() if channel != "time"}
+    table = in_seconds(table, how.columns_of("time")[0]) if how.is_dated() else table
+    time, keep, clock = read_time(table, how)
+    values = {channel: _channel(table, how, channel) for channel in how.mapped() if channel != "time"}
     if keep is not None:
-        time, values = time[keep], {channel: value[keep] for channel, value in values.items()}
-    clock = _regular(table, time, keep, columns) if fitted else None
-    time = time if clock is None else clock.time
-    _check_rate(table, time, columns)
+        values = {channel: value[keep] for channel, value in values.items()}
+    _check_rate(table, time, how)
     for array in (time, *values.values()):
         array.flags.writeable = False  # a record takes them as they are
     temp = values.get("temp")
+    marks: dict[str, Any] = {"frame": how.frame, "device": how.device} | (dict(table.marks) if not given else {})
     record = Record(
         time=time,
         gyro=values.get("gyro"),
         accel=values.get("accel"),
         temp_c=None if temp is None else temp[:, 0],
         mag_ut=values.get("mag"),
-        gyro_unit=columns.unit_of("gyro") if columns.gyro else "rad/s",
-        accel_unit=columns.unit_of("accel") if columns.accel else "m/s2",
-        frame=columns.frame,
-        state=columns.state,
-        device=columns.device,
-        accel_uncertainty=columns.accel_uncertainty,
-        offset_uncertainty=columns.offset_uncertainty,
+        gyro_unit=how.unit_of("gyro") if "gyro" in values else "rad/s",
+        accel_unit=how.unit_of("accel") if "accel" in values else "m/s2",
+        **marks,
     )
-    repaired = 0 if keep is None else int((~keep).sum())
-    return ReadResult(record=record, dropped_rows=table.dropped, repaired_rows=repaired, clock=clock)
-
-
-def chosen(path: Path, kind: str, names: tuple[str, ...], sensor: str | None) -> str:
-    """Return the item that `sensor` names, by its whole name or a unique ending. Without `sensor`, return the only
-    item.
-    """
-    if not names:
-        raise FileFormatError(f"{path}: expected a {kind} with readings, got none. The file contains no recording.")
-    hits = names if sensor is None else [name for name in names if name == sensor]
-    hits = hits or [name for name in names if name.endswith(f".{sensor}")]
-    if len(hits) == 1:
-        return hits[0]
-    wanted = f"the name of one {kind}" if sensor is None else f"{kind} {sensor!r}"
-    raise InputError(
-        f"{path}: expected {wanted}, got a file with {', '.join(names)}. Name one of them (`sensor`).",
-        missing="sensor",
-        names=names,
+    return ReadResult(
+        record=record if table.thermometer is None else with_temperature(record, *table.thermometer),
+        dropped_rows=table.dropped,
+        repaired_rows=0 if keep is None else int((~keep).sum()),
+        notes=table.notes,
+        clock=clock,
+        epoch_s=table.epoch_s,
     )
 
 
-def build(
-    path: Path,
-    time: FloatArray,
-    channels: Mapping[str, tuple[Any, str]],
-    settings: ReadSettings,
-    notes: Iterable[str] = (),
-    **more: Any,
-) -> ReadResult:
-    """Return the record of named channels with their units, with every value checked. A Unix clock is counted from its
-    start.
+def with_temperature(record: Record, time: FloatArray, temp_c: FloatArray) -> Record:
+    """Return a record with temperatures (M,), degC, at times (M,), s, interpolated onto its samples and constant beyond
+    the ends.
     """
-    notes, time = tuple(notes), np.asarray(time, dtype=np.float64)
-    if len(time) and time[0] > EPOCH_S:
-        notes, time = (f"time 0 is {time[0]:.3f} s of the file's clock (Unix time)", *notes), time - time[0]
-    arrays, columns = {"time_s": time}, dict(more)
-    for channel, (values, unit) in channels.items():
-        names = (channel,) if np.ndim(values) == 1 else tuple(f"{channel} {axis}" for axis in AXES)
-        arrays |= dict(zip(names, np.asarray(values, dtype=np.float64).reshape(len(time), -1).T, strict=True))
-        columns |= {channel: names[0] if channel == "temp" else names, f"{channel}_unit": unit}
-    columns |= {"gaps": settings.gaps or "raise", "repair_time": settings.repair_time}
-    table = RawTable(source=str(path), names=tuple(arrays), columns=tuple(arrays.values()))
-    return replace(build_record(table, ColumnMap(time="time_s", time_unit="s", **columns)), notes=notes)
+    known = np.isfinite(time) & np.isfinite(temp_c)
+    if not known.any():
+        raise InputError("temperature: expected one reading or more, got none. Omit the temperature file.")
+    order = np.argsort(time[known], kind="stable")
+    return replace(record, temp_c=np.interp(record.time, time[known][order], temp_c[known][order]))
 
 
-def _never_back(time: FloatArray, columns: ColumnMap) -> BoolArray | None:
-    """Return the rows whose time does not go back, if a repair is requested. Equal stamps, as from a host, remain."""
-    keep = time >= np.maximum.accumulate(time)
-    return None if keep.all() or not columns.repair_time else keep
+# ---- time
 
 
-def _regular(table: RawTable, time: FloatArray, keep: BoolArray | None, columns: ColumnMap) -> ClockFit | None:
-    """Fit a regular clock, with the device's counter if it is mapped. Without a time column, the counter determines the
-    gaps.
-    """
-    counter = None if columns.counter is None else table.numbers(columns.counter)
-    counter = counter if counter is None or keep is None else counter[keep]
+def read_time(table: RawTable, how: ColumnMap) -> tuple[FloatArray, BoolArray | None, ClockFit | None]:
+    """Return the time of the rows that stay, s, which rows these are (None: all), and the regular clock if one was fitted."""
+    time, counter = _time(table, how), how.columns_of("counter")
+    if how.clock == "file":
+        keep = _forward(table, time, how)
+        return (time if keep is None else time[keep]), keep, None
+    # equal stamps are a host's, and stay
+    keep = time >= np.maximum.accumulate(time) if how.repair_time else np.ones(len(time), dtype=np.bool_)
+    kept = None if keep.all() else keep
+    counts = table.numbers(counter[0])[keep] if counter else None
     with naming(table.source):
-        if columns.time is not None:
-            return fit_clock(time, counter)
-        return None if counter is None else fit_clock(unwrapped(counter) / (columns.sample_rate_hz or np.nan), counter)
+        if how.columns_of("time"):
+            fit = fit_clock(time[keep], counts)
+        elif counts is not None:  # the counter shows the gaps
+            fit = fit_clock(unwrapped(counts) / (how.sample_rate_hz or np.nan), counts)
+        else:
+            return time[keep], kept, None
+    return fit.time, kept, fit
 
 
-def _channel(table: RawTable, columns: ColumnMap, channel: Channel) -> FloatArray:
-    """Return the scaled values of a channel, shape (N, 1 or 3), in the unit that Record requires."""
-    wanted, unit = columns.columns_of(channel), columns.unit_of(channel)
-    scale: ChannelScale = getattr(columns, f"{channel}_scale") or ChannelScale()
-    if len(wanted) == 1 and channel != "temp":  # a two-dimensional array of an npz or mat file
-        wanted = tuple(f"{wanted[0]}[{k}]" for k in range(3))
-        if wanted[2] not in table.names or f"{columns.columns_of(channel)[0]}[3]" in table.names:
+def _time(table: RawTable, how: ColumnMap) -> FloatArray:
+    """Return the time of every row, s, before rows are left out."""
+    if not how.columns_of("time"):
+        rows = np.arange(len(table)) if table.rows is None else table.rows - table.rows[0]
+        return rows / (how.sample_rate_hz or np.nan)  # check_map has seen to it that the rate is there
+    (column,) = how.columns_of("time")
+    time = table.numbers(column)
+    bad = np.flatnonzero(~np.isfinite(time))
+    if len(bad):
+        row = table.row(int(bad[0]))
+        raise InputError(
+            f"{table.source}: time column {column!r}: expected a number in every row, got {len(bad)} empty or NaN cells, "
+            f"first in data row {row}. Repair the file.",
+            row=row,
+        )
+    factor = si_factor(how.unit_of("time"), "time")
+    return time if factor == 1.0 else time * factor
+
+
+def _forward(table: RawTable, time: FloatArray, how: ColumnMap) -> BoolArray | None:
+    """Return the rows whose time goes forward, None when all do."""
+    steps = np.diff(time)
+    if (steps > 0.0).all():
+        return None
+    (column,) = how.columns_of("time")
+    row = int(np.flatnonzero(steps <= 0.0)[0]) + 1
+    if how.repair_time:
+        keep = np.concatenate(([True], time[1:] > np.maximum.accumulate(time)[:-1]))
+        if keep.sum() >= 0.5 * len(time):
+            return keep
+        raise InputError(
+            f"{table.source}: time column {column!r}: expected time that mostly goes forward, got {int((~keep).sum())} of "
+            f"{len(time)} rows to drop. Check that this is the time column."
+        )
+    kind = "doubled" if steps[row - 1] == 0.0 else "backward"
+    raise InputError(
+        f"{table.source}: time column {column!r}: expected strictly increasing time, got {int((steps <= 0).sum())} steps back "
+        f"or doubled, first in data row {table.row(row)} ({kind}: {time[row - 1]:.9g} s then {time[row]:.9g} s). Set repair_time = "
+        "true in a map (`column_map` FILE) or its [[recording]] to drop them, or clock = 'regular' if a host stamped them.",
+        row=table.row(row),
+    )
+
+
+def _check_rate(table: RawTable, time: FloatArray, how: ColumnMap) -> None:
+    if not how.columns_of("time") or len(time) < 2:
+        return
+    rate_hz = how.sample_rate_hz
+    if rate_hz is not None:
+        usual, mean = sample_rate_of(time), (len(time) - 1) / float(time[-1] - time[0])
+        if min(abs(usual / rate_hz - 1.0), abs(mean / rate_hz - 1.0)) > _RATE_AGREES:
             raise InputError(
-                f"{table.source}: expected an array {columns.columns_of(channel)[0]!r} of shape (N, 3), got none. "
-                f"The file contains "
-                f"{', '.join(table.names[:16])}."
+                f"{table.source}: expected the specified {rate_hz:g} Hz, got {usual:.4g} Hz from time column "
+                f"{how.columns_of('time')[0]!r}. Correct sample_rate_hz or units.time."
+            )
+    rates = two_rates(time)
+    if rates is not None:
+        raise InputError(
+            f"{table.source}: expected one sample rate, got {rates[0]:.4g} Hz and then {rates[1]:.4g} Hz from {rates[2]:.6g} s on. "
+            "Split the file there and read the parts separately."
+        )
+
+
+def two_rates(time: FloatArray) -> tuple[float, float, float] | None:
+    """Find a lasting change of the sample rate."""
+    size = max(16, (len(time) - 1) // 64)
+    count = (len(time) - 1) // size
+    every = np.diff(time)
+    if count < 4 or every.max() < 1.1 * every.min():
+        return None
+    low, middle, high = np.quantile(every[: count * size].reshape(count, size), (0.25, 0.5, 0.75), axis=1)
+    steady = np.flatnonzero((high - low) < 0.1 * middle)
+    if len(steady) < 4:
+        return None
+    medians = middle[steady]
+    other = np.abs(medians / medians[0] - 1.0) > 0.1
+    if other.sum() < 2 or (~other).sum() < 2:
+        return None
+    first = steady[int(np.flatnonzero(other)[0])]
+    return 1.0 / float(medians[0]), 1.0 / float(middle[first]), float(time[first * size])
+
+
+# ---- readings
+
+
+def _channel(table: RawTable, how: ColumnMap, channel: Channel) -> FloatArray:
+    """Return the scaled values of a channel, shape (N, 1 or 3), in the unit that Record requires."""
+    columns, unit = how.columns_of(channel), how.unit_of(channel)
+    scale = how.scale_of(channel)
+    if len(columns) == 1 and channel != "temp":  # a two-dimensional array of a mat file
+        name, columns = columns[0], tuple(f"{columns[0]}[{k}]" for k in range(3))
+        if columns[2] not in table.names or f"{name}[3]" in table.names:
+            raise InputError(
+                f"{table.source}: expected an array {name!r} of shape (N, 3), got none. "
+                f"The file contains {', '.join(table.names[:16])}."
             )
     factor = si_factor(unit, QUANTITY[channel]) if channel in ("temp", "mag") else 1.0
     limit = _LARGEST["ut" if channel == "mag" else unit]
-    out = np.empty((len(table), len(wanted)))
-    for k, column in enumerate(wanted):
+    out = np.empty((len(table), len(columns)))
+    for k, column in enumerate(columns):
         values = scale.applied(table.numbers(column), k)
         values = values if factor == 1.0 else values * factor
-        _check_values(table, table.names[table.position(column)], values, limit, unit, columns)
+        _check_values(table, table.names[table.position(column)], values, limit, unit, keep_gaps=how.gaps == "keep")
         out[:, k] = values
     return out
 
 
-def _check_values(table: RawTable, name: str, values: FloatArray, limit: float, unit: str, columns: ColumnMap) -> None:
-    low, high = float(values.min()), float(values.max())  # NaN passes through both
-    if low >= -limit and high <= limit:
+def _check_values(table: RawTable, name: str, values: FloatArray, limit: float, unit: str, *, keep_gaps: bool) -> None:
+    """Refuse gaps, unless they are kept, and readings beyond the largest that a sensor gives."""
+    if float(values.min()) >= -limit and float(values.max()) <= limit:  # NaN fulfils neither
         return
-    gap = _check_gaps(table, name, values, columns)
+    gap = np.isnan(values)
+    if gap.any() and not keep_gaps:
+        row, steps = table.row(int(np.flatnonzero(gap)[0])), np.unique(np.diff(np.flatnonzero(~gap)))
+        regular = "" if len(steps) != 1 or steps[0] == 1 or len(gap) - gap.sum() < 3 else (
+            f" (filled in every {steps[0]}th row only: two rates in one file, export each to its own file)"
+        )  # fmt: skip
+        raise InputError(
+            f"{table.source}: column {name!r}: expected a number in every row, got {int(gap.sum())} empty or NaN cells, first in "
+            f'data row {row}{regular}. Set gaps = "keep" in a map (`column_map` FILE) or its [[recording]] to keep them as gaps.',
+            row=row,
+        )
     wild = np.flatnonzero(np.abs(np.where(gap, 0.0, values)) > limit)
     if len(wild):
         row = table.row(int(wild[0]))
@@ -598,102 +408,7 @@ def _other_unit(wild: FloatArray, unit: str) -> str:
     return ": is the gyroscope in mdeg/s, not deg/s, or in counts?" if unit == "dps" else ""
 
 
-def _check_gaps(table: RawTable, name: str, values: FloatArray, columns: ColumnMap) -> BoolArray:
-    """Return the gaps of a column. Raise an error if there are gaps and the map refuses them."""
-    gap = np.isnan(values)
-    if gap.any() and columns.gaps == "raise":
-        row, steps = table.row(int(np.flatnonzero(gap)[0])), np.unique(np.diff(np.flatnonzero(~gap)))
-        regular = "" if len(steps) != 1 or steps[0] == 1 or len(gap) - gap.sum() < 3 else (
-            f" (filled in every {steps[0]}th row only: two rates in one file, export each to its own file)"
-        )  # fmt: skip
-        raise InputError(
-            f"{table.source}: column {name!r}: expected a number in every row, got {int(gap.sum())} empty or NaN cells, first in "
-            f'data row {row}{regular}. Set gaps = "keep" in a map (`column_map` FILE) or its [[recording]] to keep them as gaps.',
-            row=row,
-        )
-    return gap
-
-
-def _time(table: RawTable, columns: ColumnMap) -> FloatArray:
-    if columns.time is None:
-        rows = np.arange(len(table)) if table.rows is None else table.rows - table.rows[0]
-        return rows / (columns.sample_rate_hz or np.nan)  # ColumnMap has seen to it that the rate is there
-    time = table.numbers(columns.time)
-    bad = np.flatnonzero(~np.isfinite(time))
-    if len(bad):
-        row = table.row(int(bad[0]))
-        raise InputError(
-            f"{table.source}: time column {columns.time!r}: expected a number in every row, got {len(bad)} empty or NaN cells, "
-            f"first in data row {row}. Repair the file.",
-            row=row,
-        )
-    factor = si_factor(columns.unit_of("time"), "time")
-    return time if factor == 1.0 else time * factor
-
-
-def _forward(table: RawTable, time: FloatArray, columns: ColumnMap) -> BoolArray | None:
-    """Return the rows whose time goes forward, None when all do."""
-    steps = np.diff(time)
-    if (steps > 0.0).all():
-        return None
-    row = int(np.flatnonzero(steps <= 0.0)[0]) + 1
-    if columns.repair_time:
-        keep = np.concatenate(([True], time[1:] > np.maximum.accumulate(time)[:-1]))
-        if keep.sum() >= 0.5 * len(time):
-            return keep
-        raise InputError(
-            f"{table.source}: time column {columns.time!r}: expected time that mostly goes forward, got {int((~keep).sum())} of "
-            f"{len(time)} rows to drop. Check that this is the time column."
-        )
-    kind = "doubled" if steps[row - 1] == 0.0 else "backward"
-    raise InputError(
-        f"{table.source}: time column {columns.time!r}: expected strictly increasing time, got "
-        f"{int((steps <= 0).sum())} steps back "
-        f"or doubled, first in data row {table.row(row)} ({kind}: {time[row - 1]:.9g} s then {time[row]:.9g} s). Set repair_time = "
-        "true in a map (`column_map` FILE) or its [[recording]] to drop them, or clock = 'regular' if a host "
-        "computer stamped them.",
-        row=table.row(row),
-    )
-
-
-def _check_rate(table: RawTable, time: FloatArray, columns: ColumnMap) -> None:
-    if columns.time is None or len(time) < 2:
-        return
-    nominal_hz = columns.sample_rate_hz
-    if nominal_hz is not None:
-        measured_hz, mean = sample_rate_of(time), (len(time) - 1) / float(time[-1] - time[0])
-        if min(abs(measured_hz / nominal_hz - 1.0), abs(mean / nominal_hz - 1.0)) > _RATE_AGREES:
-            raise InputError(
-                f"{table.source}: expected the specified {nominal_hz:g} Hz, got {measured_hz:.4g} Hz from time column "
-                f"{columns.time!r}. Correct "
-                "sample_rate_hz or units.time."
-            )
-    rates = two_rates(time)
-    if rates is not None:
-        raise InputError(
-            f"{table.source}: expected one sample rate, got {rates[0]:.4g} Hz and then {rates[1]:.4g} Hz from {rates[2]:.6g} s on. "
-            "Split the file there and read the parts separately."
-        )
-
-
-def two_rates(time: FloatArray) -> tuple[float, float, float] | None:
-    """Find a lasting change of the sample rate."""
-    size = max(16, (len(time) - 1) // 64)
-    count = (len(time) - 1) // size
-    every = np.diff(time)
-    if count < 4 or every.max() < 1.1 * every.min():
-        return None
-    steps = every[: count * size].reshape(count, size)
-    low, middle, high = np.quantile(steps, (0.25, 0.5, 0.75), axis=1)
-    steady = np.flatnonzero((high - low) < 0.1 * middle)
-    if len(steady) < 4:
-        return None
-    medians = middle[steady]
-    other = np.abs(medians / medians[0] - 1.0) > 0.1
-    if other.sum() < 2 or (~other).sum() < 2:
-        return None
-    first = steady[int(np.flatnonzero(other)[0])]
-    return 1.0 / float(medians[0]), 1.0 / float(middle[first]), float(time[first * size])
+# ---- undrift's own tables
 
 
 def native_columns(record: Record) -> tuple[tuple[str, ...], tuple[FloatArray, ...]]:
@@ -711,3 +426,43 @@ def native_columns(record: Record) -> tuple[tuple[str, ...], tuple[FloatArray, .
         names.append("temp_c")
         columns.append(record.temp_c)
     return tuple(names), tuple(columns)
+
+
+def marks_of(record: Record) -> dict[str, Any]:
+    """Return what undrift writes beside the columns of a record, for ``read_marks``."""
+    marks: dict[str, Any] = {"frame": record.frame, "state": record.state, "device": record.device}
+    if record.accel_uncertainty is not None:
+        marks["accel_uncertainty"] = tree_of(record.accel_uncertainty)
+    return marks if record.offset_uncertainty is None else marks | {"offset_uncertainty": record.offset_uncertainty}
+
+
+def read_marks(held: Mapping[str, Any], error: str) -> dict[str, Any]:
+    """Return frame, state, device and uncertainties, as keys of Record, that undrift wrote beside a table, each checked."""
+    marks = {key: held.get(key, "") for key in ("frame", "state", "device")}
+    rate, force = held.get("offset_uncertainty"), held.get("accel_uncertainty")
+    sound = marks["frame"] in get_args(Frame) and marks["state"] in get_args(State) and isinstance(marks["device"], str)
+    if not sound or not (rate is None or (isinstance(rate, float) and 0.0 <= rate < math.inf)):
+        raise FileFormatError(f"{error}; write the file anew")
+    try:
+        uncertainty = ForceUncertainty(**force) if force else None
+    except (TypeError, InputError) as cause:
+        raise FileFormatError(f"{error}; write the file anew") from cause
+    return marks | {"accel_uncertainty": uncertainty, "offset_uncertainty": rate}
+
+
+def of_channels(
+    path: Path, time: FloatArray, channels: Mapping[str, tuple[Any, str]], how: ColumnMap, **about: Any
+) -> RawTable:
+    """Return a table of named channels with their units; a Unix clock is counted from its start."""
+    time, notes = np.asarray(time, dtype=np.float64), tuple(about.pop("notes", ()))
+    if len(time) and time[0] > EPOCH_S:
+        notes, time = (f"time 0 is {time[0]:.3f} s of the file's clock (Unix time)", *notes), time - time[0]
+    held, columns, units = {"time_s": time}, dict[str, Any](time="time_s"), {"time": "s"}
+    for channel, (values, unit) in channels.items():
+        names = (channel,) if np.ndim(values) == 1 else tuple(f"{channel} {axis}" for axis in AXES)
+        held |= dict(zip(names, np.asarray(values, dtype=np.float64).reshape(len(time), -1).T, strict=True))
+        columns[channel], units[channel] = names[0] if channel == "temp" else names, unit
+    own = how.over(map_of_channels(columns, units, gaps=about.pop("gaps", None)))
+    return RawTable(
+        source=str(path), names=tuple(held), columns=tuple(held.values()), own=own, marks=about, notes=notes
+    )

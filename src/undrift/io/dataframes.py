@@ -3,26 +3,15 @@ only to create a frame.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import InputError
-from undrift.io.columns import (
-    AXES,
-    CHANNELS,
-    ColumnMap,
-    Gaps,
-    RawTable,
-    ReadSettings,
-    build_record,
-    is_native,
-    marks_of,
-    native_columns,
-    native_map,
-    stated,
-)
+from undrift.io.column_map import AXES, CHANNELS, ColumnMap, Gaps, is_native, map_of_channels, native_map
+from undrift.io.columns import RawTable, build_record, marks_of, native_columns, read_marks
 from undrift.io.write import COLUMNS
 from undrift.record import Record
 from undrift.units import RADIAN_PER_DEGREE
@@ -46,8 +35,8 @@ def read_frame(
     device: str,
 ) -> Record:
     """Return the record in a frame, with every value checked as for a file."""
-    for what, mapping in (("columns", columns or {}), ("units", units)):
-        unknown = sorted(set(mapping) - set(CHANNELS))
+    for what, given in (("columns", columns or {}), ("units", units)):
+        unknown = sorted(set(given) - set(CHANNELS))
         if unknown:
             raise InputError(
                 f"from_frame: expected {what} of {', '.join(CHANNELS)}, got {', '.join(unknown)}. Use these names."
@@ -59,23 +48,24 @@ def read_frame(
         data[time] = index.to_series()
         columns = None if columns is None else {**columns, "time": time}
     dated = [name for name, values in data.items() if values.dtype.kind in "Mm" or hasattr(values.dtype, "tz")]
-    table = RawTable(source=SOURCE, names=tuple(data), columns=tuple(_numbers(x, k in dated) for k, x in data.items()))
+    table = RawTable(
+        source=SOURCE,
+        names=tuple(data),
+        columns=tuple(_numbers(values, name in dated) for name, values in data.items()),
+        marks=read_marks(
+            {**marks, "device": device or marks.get("device", "")}, f"{SOURCE}: the attrs were not written by undrift"
+        ),
+    )
     if native:
-        column_map = native_map(table.names, ReadSettings(sample_rate_hz=sample_rate_hz, gaps=gaps), source=SOURCE)
+        own = native_map(table.names, ColumnMap(gaps=gaps, sample_rate_hz=sample_rate_hz), source=SOURCE)
     else:
-        chosen = columns or _plain(table.names)
-        stating: dict[str, Any] = {
-            key: value if isinstance(value, str) else tuple(value) for key, value in chosen.items()
+        chosen = {
+            key: name if isinstance(name, str) else tuple(name)
+            for key, name in (columns or _plain(table.names)).items()
         }
         clock = {"time": "s"} if time in dated else {}
-        stating |= {f"{key}_unit": unit for key, unit in {**units, **clock}.items()}
-        column_map = ColumnMap(**stating, sample_rate_hz=sample_rate_hz, gaps=gaps)
-    column_map = stated(
-        column_map,
-        {**marks, "device": device or marks.get("device", "")},
-        f"{SOURCE}: the attrs were not written by undrift",
-    )
-    return build_record(table, column_map).record
+        own = map_of_channels(chosen, {**units, **clock}, sample_rate_hz=sample_rate_hz, gaps=gaps)
+    return build_record(replace(table, own=own)).record
 
 
 def _columns_of(frame: Any) -> tuple[dict[str, Any], Any, dict[str, Any]]:

@@ -26,12 +26,12 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict
 
 from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
-from undrift.io.columns import READ_SETTINGS, ColumnMap, ReadResult, ReadSettings
-from undrift.io.labelled import Label, Sheet, label_of, open_sheet, read_sheet, unit_for, with_manual
-from undrift.io.reference import NEARLY_UNIT, ReferenceMap, read_text_poses, reference_of
+from undrift.io.column_map import READ_SETTINGS, ColumnMap
+from undrift.io.columns import RawTable
+from undrift.io.labelled import Label, Sheet, label_of, open_sheet, sheet_table, unit_for, with_manual
+from undrift.io.reference import ReferenceMap, of_matrices, read_text_poses, reference_of
 from undrift.io.text import open_text, parse_text
-from undrift.io.thermometer import with_temperature
-from undrift.record import Record, Reference
+from undrift.record import Reference
 from undrift.units import si_factor
 
 Pattern = Annotated[re.Pattern[str], BeforeValidator(lambda text: re.compile(text, re.MULTILINE))]
@@ -48,7 +48,7 @@ class MapCounter(MapTable):
 
     column: str  # Pattern of its name
     bits: int  # The count starts again at 0 after so many
-    step_s: float | None = None  # time between two counts; default 1 / sample rate
+    step_s: float | None = None  # Time between two counts; 1 / sample rate without it
     absolute: bool = False  # Several files share the clock: time starts at its first count, not at 0
     note: str = ""
 
@@ -56,7 +56,7 @@ class MapCounter(MapTable):
 class MapThermometer(MapTable):
     """The temperature, degC, in a file of its own."""
 
-    file: str  # its name, in which "*" is the variable part of the recording's name
+    file: str  # Its name; "*" is what the name of the recording has in its place
     time: str  # Column of time, of the same name in the recording
     temp: str  # Column of temperature
 
@@ -64,19 +64,19 @@ class MapThermometer(MapTable):
 class Dialect(MapTable):
     """The text table format of a maker's software."""
 
-    maker: str  # maker whose manual specifies the units
+    maker: str  # Whose manual states the units
     head: Pattern  # In the first 8 KiB of a file
     folder: str = ""  # File to read of a folder: its name, or "*" and its ending
     units: dict[str, str] = {}  # From the manual, for channels whose columns state none
-    device: str = ""  # pattern in the lines before the header, with the serial number as its group
-    device_in_name: Pattern | None = None  # pattern of the serial number in the file name
-    rate: str = ""  # pattern in the lines before the header, with the sample rate in Hz as its group
-    channel_line: Pattern | None = None  # line before the header with name, sensor, signal, rate, unit and time
-    packets: MapCounter | None = None  # counter of the packets; skipped numbers are lost packets
+    device: str = ""  # Pattern in the lines before the header; the group is the serial number
+    device_in_name: Pattern | None = None  # The same in the name of the file
+    rate: str = ""  # Pattern in the lines before the header; the group is the sample rate, Hz
+    channel_line: Pattern | None = None  # Line before the header that states name, sensor, signal, rate, unit and time
+    packets: MapCounter | None = None  # MapCounter of the packets: what it skips was lost
     stamps: MapCounter | None = None  # Clock of the device
     omit: Pattern | None = None  # Columns that are not readings of a sensor
     sensor: tuple[str, str] | None = None  # Pattern in the name of a sensor, and its replacement
-    whole_names: bool = False  # True if a sensor keeps its full name in a file of a single sensor
+    whole_names: bool = False  # A sensor keeps its name in a file of one sensor
     repair_time: bool = False  # Stamps may repeat: such rows are left out and counted
     thermometer: MapThermometer | None = None
     poses: bool = False  # The table may hold orientations, which are read as a reference
@@ -87,12 +87,11 @@ class Dialect(MapTable):
             return bool(self.folder) and any(path.glob(self.folder))
         return b"\0" not in head and self.head.search(head.decode("latin-1")) is not None
 
-    def read(self, path: Path, _: ColumnMap | None = None, settings: ReadSettings = READ_SETTINGS) -> ReadResult:
+    def read(self, path: Path, how: ColumnMap = READ_SETTINGS) -> RawTable:
         """Read a file or a folder."""
-        path = self._file(path)
-        sheet = self._label(open_sheet(path))
-        result = read_sheet(self._with_clock(sheet, settings.sample_rate_hz), settings)
-        return replace(result, record=self._with_thermometer(result.record, sheet))
+        sheet = self._labelled(open_sheet(self._file(path)))
+        table = sheet_table(self._with_clock(sheet, how.sample_rate_hz), how)
+        return self._with_thermometer(table, sheet)
 
     def read_poses(self, path: Path, columns: ReferenceMap | None = None) -> Reference:
         """Read the orientations of a table."""
@@ -100,7 +99,7 @@ class Dialect(MapTable):
         if not self.poses:
             return read_text_poses(path, columns)
         return poses_of(
-            self._with_clock(self._label(open_sheet(path)), None if columns is None else columns.sample_rate_hz)
+            self._with_clock(self._labelled(open_sheet(path)), None if columns is None else columns.sample_rate_hz)
         )
 
     def _file(self, path: Path) -> Path:
@@ -112,7 +111,7 @@ class Dialect(MapTable):
             raise InputError(f"{path}: expected one {self.folder}, got {names}. Name the file.")
         return matches[0]
 
-    def _label(self, sheet: Sheet) -> Sheet:
+    def _labelled(self, sheet: Sheet) -> Sheet:
         """Return a sheet with its labels, device and notes."""
         device, rate = (sheet.stated(pattern) if pattern else None for pattern in (self.device, self.rate))
         name_matches = self.device_in_name.findall(sheet.path.name) if self.device_in_name else []
@@ -125,10 +124,10 @@ class Dialect(MapTable):
         if self.channel_line:
             return replace(sheet, labels=_labels_of_lines(self.channel_line, sheet))
         sheet = with_manual(sheet, self.maker, self.units, whole_names=self.whole_names)
-        labels = tuple(self._maker_label(name, label) for name, label in zip(sheet.names, sheet.labels, strict=True))
+        labels = tuple(self._own(name, label) for name, label in zip(sheet.names, sheet.labels, strict=True))
         return replace(sheet, labels=labels)
 
-    def _maker_label(self, name: str, label: Label | None) -> Label | None:
+    def _own(self, name: str, label: Label | None) -> Label | None:
         """Return the label of a column by the rules of the maker."""
         if label is None or (self.omit and self.omit.search(name)):
             return None
@@ -150,12 +149,12 @@ class Dialect(MapTable):
 
         def by_rate(counts: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
             number = _from_zero(sheet, counts, self.packets)
-            return number * (1.0 / (rate_hz or np.nan)), _count_lost(number)
+            return number * (1.0 / (rate_hz or np.nan)), _lost(number)
 
         def by_stamps(ticks: FloatArray, *counts: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
             start, counter = ticks[0] if absolute else 0.0, self.stamps or MapCounter(column="", bits=64)
             time = (counter.step_s or np.nan) * (start + _from_zero(sheet, ticks, counter))
-            lost = [note for count in counts for note in _count_lost(_from_zero(sheet, count, self.packets))]
+            lost = [note for count in counts for note in _lost(_from_zero(sheet, count, self.packets))]
             return time, (*([counter.note] if counter.note else []), *lost)
 
         if packets is not None and rate_hz is not None and not absolute:
@@ -166,23 +165,24 @@ class Dialect(MapTable):
             sheet, clock=by_stamps, counters=(stamps, packets) if absolute and packets is not None else (stamps,)
         )
 
-    def _with_thermometer(self, record: Record, sheet: Sheet) -> Record:
-        """Return the record with the temperature of the file next to it, if there is one."""
+    def _with_thermometer(self, table: RawTable, sheet: Sheet) -> RawTable:
+        """Return the table with the temperature of the file next to it, if there is one."""
         if self.thermometer is None:
-            return record
+            return table
         stem = sheet.path.name.removesuffix(self.folder.removeprefix("*"))
         path = sheet.path.with_name(self.thermometer.file.replace("*", stem))
         clock = sheet.position(f"^{re.escape(self.thermometer.time)}$")
         label = None if clock is None else sheet.labels[clock]
         if clock is None or not path.is_file():
-            return record
-        table = parse_text(open_text(path), (self.thermometer.time, self.thermometer.temp))
-        time = table.numbers(self.thermometer.time)
+            return table
+        slow = parse_text(open_text(path), (self.thermometer.time, self.thermometer.temp))
+        time = slow.numbers(self.thermometer.time)
         if label is not None and label.unit:
             time = time * si_factor(label.unit, "time")
-        else:  # packets are numbered: the times belong to the samples
-            time = np.interp(time, sheet.array((clock,))[:, 0], record.time)
-        return with_temperature(record, time, table.numbers(self.thermometer.temp))
+        else:  # packets are numbered: their times are those of the samples
+            rate_hz = (table.own and table.own.sample_rate_hz) or np.nan
+            time = np.interp(time, sheet.array((clock,))[:, 0], np.arange(len(table)) / rate_hz)
+        return replace(table, thermometer=(time, slow.numbers(self.thermometer.temp)))
 
 
 @cache
@@ -227,7 +227,7 @@ def _from_zero(sheet: Sheet, counts: FloatArray, counter: MapCounter | None) -> 
     return np.concatenate(([0.0], np.cumsum(steps)))
 
 
-def _count_lost(packets: FloatArray) -> tuple[str, ...]:
+def _lost(packets: FloatArray) -> tuple[str, ...]:
     lost = int(packets[-1]) + 1 - len(packets) if len(packets) else 0
     return (
         (f"{lost} of {int(packets[-1]) + 1} packets lost by PacketCounter, seen as gaps in time",) if lost > 0 else ()
@@ -255,16 +255,11 @@ def poses_of(sheet: Sheet) -> Reference:
     if columns is None:
         raise FileFormatError(f"{sheet.path}: expected columns of orientations, got none. Export orientations.")
     values = sheet.array(columns)
-    finite = np.isfinite(values).all(axis=1)
-    q_nb = np.full((len(values), 4), np.nan)
-    if len(columns) == 4:
-        q_nb = values
-    elif len(columns) == 9:
-        matrices = values[finite].reshape(-1, 3, 3)
-        if (np.abs(np.linalg.det(matrices) - 1.0) > NEARLY_UNIT).any():
-            raise FileFormatError(f"{sheet.path}: the matrices are not rotation matrices. Export orientations again.")
-        q_nb[finite] = Rotation.from_matrix(matrices).as_quat(scalar_first=True)
-    else:
-        q_nb[finite] = Rotation.from_euler("ZYX", values[finite], degrees=True).as_quat(scalar_first=True)
+    if len(columns) == 9:
+        values = of_matrices(sheet.path, values)
+    elif len(columns) == 3:
+        finite, degrees = np.isfinite(values).all(axis=1), values
+        values = np.full((len(degrees), 4), np.nan)
+        values[finite] = Rotation.from_euler("ZYX", degrees[finite], degrees=True).as_quat(scalar_first=True)
     time, notes = sheet.counted(sheet.columns(*sheet.counters))
-    return reference_of(sheet.path, time, q_nb, up=None, name=", ".join(notes))
+    return reference_of(sheet.path, time, values, up=None, name=", ".join(notes))

@@ -1,7 +1,7 @@
 """The single entry point for all recordings. The content of a file determines its reader.
 
 A format is a line of FORMATS. It names the function that recognises its files, the readers for Record, Markers or
-Reference, and the settings that the reader supports. Another package adds a format with the entry-point group
+Reference. A reader of recordings returns a table, or a Record. Another package adds a format with the entry-point group
 ``undrift.formats``::
 
     [project.entry-points."undrift.formats"]
@@ -25,8 +25,8 @@ import numpy as np
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, read_bytes, read_tree, sound
 from undrift.io.arrays import mat_arrays, read_mat
-from undrift.io.clock import fit_clock
-from undrift.io.columns import READ_SETTINGS, ColumnMap, ReadResult, ReadSettings, is_date, is_native, is_number
+from undrift.io.column_map import READ_SETTINGS, ColumnMap, TempFile, is_native, naming, one_map
+from undrift.io.columns import RawTable, ReadResult, build_record, in_seconds, is_date, is_number, with_temperature
 from undrift.io.dialects import dialects
 from undrift.io.labelled import is_labelled, read_labelled
 from undrift.io.libraries import is_nilspod, reader
@@ -43,33 +43,31 @@ from undrift.io.reference import (
     read_sto,
     read_text_poses,
 )
-from undrift.io.text import open_text, read_csv
-from undrift.io.thermometer import with_thermometer
+from undrift.io.text import open_text, parse_text, read_csv
 from undrift.io.write import write_record_as
 from undrift.plugins import load_named, names_in
 from undrift.record import Record, Reference
+from undrift.units import canonical_unit, si_factor, temp_offset
 
 GROUP = "undrift.formats"
 _HEAD = 8192
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _PROSE = {".md", ".rst", ".pdf", ".html"}
 
-RecordReader = Callable[[Path, ColumnMap | None, ReadSettings], Record | ReadResult]
+Reader = Callable[[Path, ColumnMap], RawTable | Record]
 
 
 @dataclass(frozen=True, slots=True)
 class Format:
     """One kind of file or folder."""
 
-    recognise: Callable[[Path, bytes], bool]  # from path and first 8 KiB, unpacked (b"" for a folder)
-    record: RecordReader | None = None
-    chunks: Callable[[Path, ColumnMap | None, ReadSettings, int], Iterator[Record]] | None = None  # In constant memory
+    recognise: Callable[[Path, bytes], bool]  # By path and first 8 KiB, unpacked; b"" for a folder
+    record: Reader | None = None
     markers: Callable[[Path, Up | None], Markers] | None = None
     reference: Callable[[Path, ReferenceMap | None], Reference] | None = None
     bodies: Callable[[Path, str | None, Up | None], Reference] | None = None  # One of several named bodies
-    by_map: bool = False  # The record reader takes a column map, and fits a regular clock itself
-    repairs: bool = False  # It leaves out bad rows where the settings ask for it
-    instead: str = ""  # for a file without a record reader: its kind and the remedy
+    by_map: bool = False  # The record reader takes the columns of a map
+    instead: str = ""  # What a file without a record reader is, and what to do with it
     generic: bool = False  # Tried after all others
 
 
@@ -89,8 +87,8 @@ def _is_zip_with(*names: str) -> Callable[[Path, bytes], bool]:
     def recognised(path: Path, head: bytes) -> bool:
         if not head.startswith(b"PK\x03\x04"):
             return False
-        with sound(path, "zip"), zipfile.ZipFile(path) as archive:
-            return not set(names).isdisjoint(archive.namelist())
+        with sound(path, "zip"), zipfile.ZipFile(path) as held:
+            return not set(names).isdisjoint(held.namelist())
 
     return recognised
 
@@ -125,8 +123,8 @@ def _foreign(recognise: Callable[[Path, bytes], bool]) -> Callable[[Path, bytes]
     """Recognise a text that is not undrift's own."""
 
     def recognised(path: Path, head: bytes) -> bool:
-        native = is_native(_line(head, 0).replace('"', "").split(","))
-        return not native and recognise(path, head)
+        own = is_native(_line(head, 0).replace('"', "").split(","))
+        return not own and recognise(path, head)
 
     return recognised
 
@@ -136,7 +134,7 @@ def _is_prose(path: Path, head: bytes) -> bool:
     lines = [line for line in head.decode("utf-8", "replace").splitlines()[:64] if line.strip()]
     if _suffix(path) in _PROSE or not lines:
         return True
-    body = lines[1:-1][len(lines) // 2 - 1 :] or lines  # lines of text may come before the rows
+    body = lines[1:-1][len(lines) // 2 - 1 :] or lines  # lines of text may stand before the rows
     for delimiter in (",", "\t", ";"):
         counts = [line.count(delimiter) for line in body]
         if min(counts) > 0 and counts.count(max(set(counts), key=counts.count)) > 0.8 * len(counts):
@@ -151,19 +149,9 @@ _BAGS = (b"#ROSBAG V2.0", b"SQLite format 3\0", b"\x89MCAP0\r\n")
 _UNPACKED = "a zip archive or an Excel workbook. Unpack it and name the folder, or save the sheet as CSV."
 
 FORMATS: dict[str, Format] = {
-    "parquet": Format(
-        _starts(b"PAR1"),
-        record=read_parquet,
-        chunks=lambda path, columns, settings, rows: iter_parquet(path, columns, settings, rows=rows),
-        reference=read_parquet_poses,
-        by_map=True,
-        repairs=True,
-    ),
+    "parquet": Format(_starts(b"PAR1"), record=read_parquet, reference=read_parquet_poses, by_map=True),
     "mat": Format(
-        _starts(b"MATLAB"),
-        record=read_mat,
-        reference=lambda p, c: read_array_poses(mat_arrays(p), p, c),
-        by_map=True,
+        _starts(b"MATLAB"), record=read_mat, reference=lambda p, c: read_array_poses(mat_arrays(p), p, c), by_map=True
     ),
     "hdf5": Format(_starts(_HDF5), instead="HDF5. Make a frame of its arrays in Python and use Record.from_frame."),
     "npz": Format(
@@ -173,24 +161,20 @@ FORMATS: dict[str, Format] = {
     "cwa": Format(
         lambda path, head: head.startswith(b"MD") and (head[2:4] == b"\xfc\x03" or _suffix(path) == ".cwa"),
         record=reader("logger"),
-        repairs=True,
     ),
-    "geneactiv": Format(_starts(b"Device Identity"), record=reader("logger"), repairs=True),
-    "gt3x": Format(_is_zip_with("log.bin"), record=reader("logger"), repairs=True),
+    "geneactiv": Format(_starts(b"Device Identity"), record=reader("logger")),
+    "gt3x": Format(_is_zip_with("log.bin"), record=reader("logger")),
     "gt3x_activity": Format(
         _is_zip_with("activity.bin"),
         instead="an ActiGraph file of the older layout (activity.bin), which no library reads. Export CSV with ActiLife.",
     ),
-    "xdf": Format(_starts(b"XDF:"), record=reader("xdf"), by_map=True, repairs=True),
+    "xdf": Format(_starts(b"XDF:"), record=reader("xdf"), by_map=True),
     "ros": Format(
         lambda path, head: head.startswith(_BAGS) or (not head and (path / "metadata.yaml").is_file()),
         record=reader("ros"),
-        repairs=True,
     ),
-    "ulog": Format(_starts(b"ULog\x01\x12\x35"), record=reader("ulog"), repairs=True),
-    "nilspod": Format(
-        lambda path, head: _suffix(path) == ".bin" and is_nilspod(head), record=reader("nilspod"), repairs=True
-    ),
+    "ulog": Format(_starts(b"ULog\x01\x12\x35"), record=reader("ulog")),
+    "nilspod": Format(lambda path, head: _suffix(path) == ".bin" and is_nilspod(head), record=reader("nilspod")),
     "c3d": Format(
         lambda _, head: b"POINT" in head and is_c3d(head),
         markers=read_c3d,
@@ -201,10 +185,10 @@ FORMATS: dict[str, Format] = {
         lambda path, head: not head and (path / "session.toml").is_file(),
         instead="a session of recordings. Read it as a session.",
     ),
-    "sensor_logger": Format(_has(rb"\Atime,seconds_elapsed,"), record=read_sensor_logger, repairs=True),
-    "phone": Format(lambda path, head: not head and is_phone(path), record=read_phone, repairs=True),
+    "sensor_logger": Format(_has(rb"\Atime,seconds_elapsed,"), record=read_sensor_logger),
+    "phone": Format(lambda path, head: not head and is_phone(path), record=read_phone),
     "phone_zip": Format(
-        lambda path, head: head.startswith(b"PK\x03\x04") and is_phone_zip(path), record=read_phone_zip, repairs=True
+        lambda path, head: head.startswith(b"PK\x03\x04") and is_phone_zip(path), record=read_phone_zip
     ),
     "sto": Format(
         _has(rb"^DataType *= *Quaternion[\s\S]*^endheader"),
@@ -226,39 +210,34 @@ FORMATS: dict[str, Format] = {
         record=read_log,
         reference=lambda path, columns: poses_in(log_text(path), columns),
         by_map=True,
-        repairs=True,
         generic=True,
     ),
     "binary": Format(
-        lambda _, head: b"\0" in head,
-        instead="binary data of an unknown kind. Export it to CSV.",
-        generic=True,
+        lambda _, head: b"\0" in head, instead="binary data of an unknown kind. Export it to CSV.", generic=True
     ),
-    "labelled": Format(
-        _foreign(is_labelled), record=read_labelled, reference=read_text_poses, repairs=True, generic=True
-    ),
+    "labelled": Format(_foreign(is_labelled), record=read_labelled, reference=read_text_poses, generic=True),
     "text": Format(_is_prose, instead="prose, not a table", generic=True),
-    "csv": Format(lambda *_: True, record=read_csv, reference=read_text_poses, by_map=True, repairs=True, generic=True),
+    "csv": Format(lambda *_: True, record=read_csv, reference=read_text_poses, by_map=True, generic=True),
 }
 
 
 @cache
 def outside_formats() -> Mapping[str, Format]:
     """Return the formats that other packages add."""
-    formats: dict[str, Format] = {}
+    found: dict[str, Format] = {}
     for name in names_in({}, GROUP):
         try:
-            formats[name] = load_named(name, {}, GROUP, Format)
+            found[name] = load_named(name, {}, GROUP, Format)
         except Exception as error:  # noqa: BLE001 - another package may raise anything while it is imported
             warnings.warn(f"the format {name} of another package is not used: {error}", stacklevel=2)
-    return formats
+    return found
 
 
 def _in_turn() -> Iterator[tuple[str, Format]]:
     """Yield the formats in the order in which they are tried. Formats of other packages are loaded only when needed."""
     yield from ((name, entry) for name, entry in FORMATS.items() if not entry.generic)
     for name, dialect in dialects().items():
-        yield name, Format(dialect.recognises, record=dialect.read, reference=dialect.read_poses, repairs=True)
+        yield name, Format(dialect.recognises, record=dialect.read, reference=dialect.read_poses)
     yield from ((name, entry) for name, entry in outside_formats().items() if name not in FORMATS)
     yield from ((name, entry) for name, entry in FORMATS.items() if entry.generic)
 
@@ -282,7 +261,7 @@ def detect(path: str | Path) -> str:
     return format_of(path)[0]
 
 
-def read_record(path: str | Path, columns: ColumnMap | None = None, *, settings: ReadSettings | None = None) -> Record:
+def read_record(path: str | Path, column_map: ColumnMap | None = None) -> Record:
     """Read a recording of any known format.
 
     Parameters
@@ -290,10 +269,9 @@ def read_record(path: str | Path, columns: ColumnMap | None = None, *, settings:
     path : str or Path
         Text table (plain or gzip), Parquet, mat, a maker's export, XDF, ROS bag, PX4 ULog, Axivity, GENEActiv, GT3X, NilsPod, or an
         NGIMU, x-IMU, x-IMU3 or ROS 2 folder.
-    columns : ColumnMap or None
-        Channels and units of the columns, or None for known formats and undrift's own names.
-    settings : ReadSettings or None
-        Sample rate, sensor and gaps where the file leaves them unstated.
+    column_map : ColumnMap or None
+        Columns and units where neither the format nor undrift's own names state them; sample rate, sensor and gaps where the
+        file leaves them unstated.
 
     Returns
     -------
@@ -303,7 +281,7 @@ def read_record(path: str | Path, columns: ColumnMap | None = None, *, settings:
     Raises
     ------
     InputError
-        If the file does not exist, needs a map, a rate or the name of a sensor, or contains bad data.
+        No such file; a file that needs a map, a rate or the name of a sensor; bad data.
     FileFormatError
         Not a recording, or a damaged one.
 
@@ -317,47 +295,56 @@ def read_record(path: str | Path, columns: ColumnMap | None = None, *, settings:
     >>> len(record), record.gyro_unit, record.sample_rate_hz
     (3, 'dps', 100.0)
     """
-    return read_counted(path, columns, settings=settings).record
+    return read_counted(path, column_map).record
 
 
-def read_counted(
-    path: str | Path, columns: ColumnMap | None = None, *, settings: ReadSettings | None = None
-) -> ReadResult:
+def read_counted(path: str | Path, column_map: ColumnMap | None = None) -> ReadResult:
     """Read a recording and the count of rows left out."""
-    path, settings = Path(path), settings or READ_SETTINGS
+    path, how = Path(path), one_map(column_map or READ_SETTINGS)
     name, entry = format_of(path)
-    if columns is not None:
-        columns = replace(columns, gaps=settings.gaps or columns.gaps, clock=settings.clock or columns.clock)
-        if not entry.by_map and (entry.record or name == "text"):  # a map makes a table of any text
-            entry = FORMATS["csv"]
+    if how.columns and not entry.by_map and (entry.record or name == "text"):
+        entry = FORMATS["csv"]  # a map makes a table of any text
     if entry.record is None:
         raise FileFormatError(f"{path}: expected a recording, got {entry.instead or name}")
-    if columns is None and (settings.repair_time or settings.drop_bad_rows) and not entry.repairs:
+    table = entry.record(path, how)
+    if isinstance(table, RawTable):
+        return settled(build_record(table, how), how)
+    if how.repair_time or how.drop_bad_rows or how.clock == "regular":
         raise InputError(
-            f"{path}: expected a table for repair_time and drop_bad_rows, got {name}. Name the columns in the map, "
-            f"or omit these "
-            "keys."
+            f"{path}: repair_time, drop_bad_rows and a regular clock require a table, got {name}. Omit these keys."
         )
-    content = entry.record(path, columns, settings)
-    result = content if isinstance(content, ReadResult) else ReadResult(record=content)
-    return settled(result, settings, clocked=entry.by_map)
+    return settled(ReadResult(record=table), how)
 
 
-def settled(result: ReadResult, settings: ReadSettings, *, clocked: bool = False) -> ReadResult:
-    """Apply the clock, the stretches to leave out and the thermometer of the settings. Set ``clocked`` if the reader
-    applied the clock.
-    """
-    if settings.clock == "regular" and not clocked:
-        clock = fit_clock(result.record.time)
-        result = replace(result, record=replace(result.record, time=clock.time), clock=clock)
-    if settings.leave_out:
-        record = without(result.record, settings.leave_out)
-        spans = ", ".join(f"{start:g} to {stop:g} s" for start, stop in settings.leave_out)
-        result = replace(result, record=record, notes=(*result.notes, f"left out as stated: {spans}"))
-    if settings.temp_file is None:
+def settled(result: ReadResult, how: ColumnMap) -> ReadResult:
+    """Apply the stretches to leave out and the thermometer of a map."""
+    if how.leave_out:
+        spans = ", ".join(f"{start:g} to {stop:g} s" for start, stop in how.leave_out)
+        notes = (*result.notes, f"left out as stated: {spans}")
+        result = replace(result, record=without(result.record, how.leave_out), notes=notes)
+    if how.temp_file is None:
         return result
-    note = f"temperature of {settings.temp_file.path.name}, interpolated onto the samples"
-    return replace(result, record=with_thermometer(result.record, settings.temp_file), notes=(*result.notes, note))
+    note = f"temperature of {Path(how.temp_file.file).name}, interpolated onto the samples"
+    return replace(result, record=_with_thermometer(result.record, how.temp_file), notes=(*result.notes, note))
+
+
+def _with_thermometer(record: Record, thermometer: TempFile) -> Record:
+    """Return the record with the temperature of a thermometer's own file."""
+    dated = canonical_unit(thermometer.time_unit, "time") == "date"
+    wanted = (thermometer.temp,) if dated else (thermometer.time, thermometer.temp)
+    table = parse_text(open_text(thermometer.file, thermometer), wanted)
+    table = in_seconds(table, thermometer.time) if dated else table
+    time = table.numbers(thermometer.time) * si_factor(thermometer.time_unit, "time") + thermometer.shift_s
+    unit = canonical_unit(thermometer.temp_unit, "temp")
+    temp_c = table.numbers(thermometer.temp) * si_factor(unit, "temp") + temp_offset(unit)
+    known = time[np.isfinite(time) & np.isfinite(temp_c)]
+    if len(known) and (known.max() < record.time[0] or known.min() > record.time[-1]):
+        raise InputError(
+            f"{thermometer.file}: expected temperatures from {record.time[0]:.6g} to {record.time[-1]:.6g} s, "
+            f"the recording's clock, got {known.min():.6g} to {known.max():.6g} s. Set temp_file.shift_s, in s."
+        )
+    with naming(thermometer.file):
+        return with_temperature(record, time, temp_c)
 
 
 def without(record: Record, stretches: Sequence[tuple[float, float]]) -> Record:
@@ -383,21 +370,16 @@ def without(record: Record, stretches: Sequence[tuple[float, float]]) -> Record:
     return replace(record, **gaps).part(int(stays[0]), int(stays[-1]) + 1)
 
 
-def iter_record(
-    path: str | Path, columns: ColumnMap | None = None, *, rows: int = CHUNK_ROWS, settings: ReadSettings | None = None
-) -> Iterator[Record]:
+def iter_record(path: str | Path, column_map: ColumnMap | None = None, *, rows: int = CHUNK_ROWS) -> Iterator[Record]:
     """Read a recording in chunks. Parquet is read in constant memory. Other formats are read whole and then split."""
-    settings = settings or READ_SETTINGS
-    chunks = format_of(path)[1].chunks
-    dated = columns is not None and columns.time is not None and columns.unit_of("time") == "date"
-    fitted = (settings.clock or (columns.clock if columns is not None else "file")) == "regular"  # to the whole
-    if chunks is not None and settings.temp_file is None and not (dated or fitted or settings.leave_out):
-        columns = columns and replace(columns, gaps=settings.gaps or columns.gaps)
-        yield from chunks(Path(path), columns, settings, rows)
+    how = column_map or READ_SETTINGS
+    whole = how.temp_file or how.leave_out or how.clock == "regular" or how.is_dated()
+    if detect(path) == "parquet" and not whole:
+        yield from iter_parquet(path, how, rows=rows)
         return
     if rows < 2:
         raise InputError(f"rows: expected two samples or more in a chunk, got {rows}")
-    record = read_record(path, columns, settings=settings)
+    record = read_record(path, how)
     start = 0
     while start < len(record):
         stop = start + rows if len(record) - start - rows >= 2 else len(record)
@@ -413,7 +395,7 @@ def write_record(record: Record, path: str | Path) -> None:
     record : Record
         Readings.
     path : str or Path
-        NAME.parquet, NAME.csv or NAME.csv.gz (with frame, state and device in NAME.csv.json).
+        NAME.parquet, NAME.csv or NAME.csv.gz (frame, state and device in NAME.csv.json beside it).
 
     Raises
     ------
@@ -444,11 +426,11 @@ def read_reference(
     Parameters
     ----------
     path : str or Path
-        CSV, Parquet or mat with quaternions, OpenSim .sto, Xsens, or markers in C3D or TRC.
+        CSV, Parquet or mat with quaternions; OpenSim .sto, Xsens; markers in C3D or TRC.
     columns : ReferenceMap or None
-        Map of foreign names, or None for undrift's own names.
+        For foreign names; None for undrift's own.
     labels : tuple of str or None
-        Markers of a rigid cluster, for C3D and TRC, or the name of a body (.sto).
+        Markers of one rigid cluster, for C3D and TRC; or the name of one body (.sto).
     up : str or None
         Laboratory axis that points up, "y" or "z": required for TRC, and for C3D files that do not state it.
 
@@ -460,7 +442,7 @@ def read_reference(
     Raises
     ------
     InputError
-        If the file does not exist, markers have no labels or axis, columns are missing, or quaternions are invalid.
+        No such file; marker files without labels or axis; columns that are not there; quaternions that are none.
     FileFormatError
         A damaged file, or one of another kind.
     """

@@ -6,8 +6,9 @@ length 1, a counter increases. An unknown entry is "?".
 
 import json
 import re
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
 from typing import Any
@@ -18,7 +19,8 @@ from undrift.arrays import FloatArray
 from undrift.errors import InputError
 from undrift.files import read_bytes
 from undrift.io.arrays import Arrays
-from undrift.io.columns import Column, TextLayout, is_date, is_number
+from undrift.io.column_map import Column, TextLayout
+from undrift.io.columns import is_date, is_number
 from undrift.io.labelled import label_of, marks_of
 from undrift.io.reference import NEARLY_UNIT
 from undrift.io.text import Text, open_text, parse_text
@@ -28,8 +30,8 @@ _PLACE = re.compile(r"^(COG|.*[._](ankle|knee|hip))[._ ][xyz]$", re.IGNORECASE)
 _QUATERNION = re.compile(
     r"(?i)^(?P<stem>.*?)(?P<part>[wxyz]|[0-3])\]?( element)?$"
 )  # w, qw, q0, seg2_quat_w, QUATERNION_0
-_TURNS = re.compile(r"(?i)^$|quat|^q[_.\[]*$|[_. ]q[_.\[]*$|orient|rotat")  # the text before w, x, y, z
-_UNITS = {  # units in a column name; "?" for an unknown unit, which a reader refuses
+_TURNS = re.compile(r"(?i)^$|quat|^q[_.\[]*$|[_. ]q[_.\[]*$|orient|rotat")  # what stands before w, x, y, z
+_UNITS = {  # what a name may state of its unit; "?" where it states none, which a reader refuses
     "time": (
         ("us", r"\(?\bus\b|_us\b|micros"),
         ("ms", r"\bms\b|_ms\b|millis"),
@@ -41,11 +43,11 @@ _UNITS = {  # units in a column name; "?" for an unknown unit, which a reader re
     "temp": (("degC", r"deg ?c|celsius|degrees c"), ("count", r"raw|count|lsb")),
 }
 _NO_SENSOR = re.compile(r"quat|euler|pos|vel|force|moment|angle|roll|pitch|yaw|mat\[", re.IGNORECASE)
-# range of |a| at rest in each unit (an integer sensor of +-2 to +-16 g reads 1,000 to 20,000 counts and more)
+# What |a| at rest may be in each unit; an integer sensor of +-2 to +-16 g reads 1,000 to 20,000 counts and more
 _AT_REST = {"g": (0.8, 1.25), "m/s2": (7.8, 12.3), "mg": (800.0, 1250.0), "count": (1250.0, 1e7)}
 _STEP = {"s": (2e-4, 0.2), "ms": (0.2, 200.0), "us": (200.0, 2e5), "ns": (2e5, 2e8)}  # between samples, 5 Hz to 5 kHz
-# The largest rate: 36 rad/s exceeds the 2000 deg/s that gyroscopes reach. Smaller values are judged by the noise at
-# rest: it is 0.03 to 0.3 deg/s, or 0.0005 to 0.005 rad/s
+# The largest rate: 36 rad/s were more than the 2000 deg/s that gyroscopes reach. Below, noise tells: at rest it is 0.03 to
+# 0.3 deg/s, or 0.0005 to 0.005 rad/s
 _RATE, _SPREAD_RAD_S = {"rad/s": (1.0, 36.0), "dps": (36.0, 4500.0)}, 0.01
 _COUNTS = 200.0  # whole numbers beyond this are an integer sensor's
 _TEMP_C, _WARM_C = (-30.0, 90.0), 12.0
@@ -53,7 +55,7 @@ _STATED_RATE = re.compile(
     r"(?i)^\W*(?:fs|sampl\w*[ _]?(?:rate|freq\w*)|output ?rate|rate)\b[^\d\n]{0,12}(\d+(?:\.\d+)?)"
 )
 _STATED_NAME = re.compile(r"(?i)(^|[._])(fs|sampl\w*_?(rate|freq\w*)(_hz)?)$")
-_OF_GYRO = re.compile(r"(?i)^(?!.*(acc|imu)).*(gyr|angular)")  # the name of a file of a single sensor
+_OF_GYRO = re.compile(r"(?i)^(?!.*(acc|imu)).*(gyr|angular)")  # the name of a file of one sensor
 _NAMED = {
     "time": re.compile(r"(?i)(\w*time|(?-i:t)|ts|timestamp|millis|micros)([ _\[(].*)?$"),
     "temp": re.compile(r"(?i)(board |die )?(temp(?!o\b|s\b)|tmp$|thermo|(?-i:T)$)"),
@@ -74,7 +76,7 @@ def sniff(path: object) -> Text:
     delimiter, decimal = marks_of(lines)
     width = max(len(_cells(line, delimiter)) for line in body)
     # a line that a terminal program puts before the rows may have their commas, and nothing between them
-    skip = next((k for k, line in zip(at, lines, strict=True) if _has_cells(line, delimiter, width)), 0)
+    skip = next((k for k, line in zip(at, lines, strict=True) if _filled(line, delimiter, width)), 0)
     first = _cells(raw[skip], delimiter, decimal)
     header = not all(is_number(cell, empty=True) or is_date(cell) for cell in first)
     if len(first) > 2 and all(cell.strip().isdecimal() for cell in first) and set(np.diff([*map(int, first)])) == {1}:
@@ -85,15 +87,15 @@ def sniff(path: object) -> Text:
 def foreign_kind(text: Text) -> str | None:
     """Return the kind of a table that is not a recording of an inertial sensor."""
     names = [name for name in text.names if name.strip()]
-    listing = ", ".join(names[:4])
+    shown = ", ".join(names[:4])
     for pattern, what in ((_FORCE, "a force plate's table"), (_PLACE, "a table of positions")):
         if any(pattern.search(name) for name in names):
-            return f"{what} ({listing}, ...), not a recording of an inertial sensor"
+            return f"{what} ({shown}, ...), not a recording of an inertial sensor"
     lines = text.head.decode("utf-8", "replace").splitlines()
     first = lines[text.skip : text.skip + 2]  # one may be of units
     rows = [_cells(line, text.layout.delimiter, text.layout.decimal) for line in first]
     if rows and all(sum(is_number(cell, empty=True) for cell in row) < 0.5 * len(row) for row in rows):
-        return f"a table of text ({len(names)} columns: {listing}, ...), not a recording"
+        return f"a table of text ({len(names)} columns: {shown}, ...), not a recording"
     triples = triples_of(text.names)
     if text.layout.header and not triples:
         return (
@@ -102,7 +104,7 @@ def foreign_kind(text: Text) -> str | None:
             "positions."
         )
     if triples and all(_is_magnetic(name) for triple in triples for name in triple):
-        return f"a magnetometer's table ({listing}), without gyroscope or accelerometer"
+        return f"a magnetometer's table ({shown}), without gyroscope or accelerometer"
     return None
 
 
@@ -112,46 +114,76 @@ def quaternion_of_names(names: tuple[str, ...]) -> tuple[str, ...] | None:
     """
     parts: dict[str, dict[str, str]] = {}
     for name in names:
-        match = None if name.strip().isdecimal() else _QUATERNION.match(name.strip())  # positions are not names
-        if match and _TURNS.search(match["stem"]):
-            parts.setdefault(match["stem"], {})[match["part"].lower()] = name
+        found = None if name.strip().isdecimal() else _QUATERNION.match(name.strip())  # positions are no names
+        if found and _TURNS.search(found["stem"]):
+            parts.setdefault(found["stem"], {})[found["part"].lower()] = name
     fours = (
-        tuple(columns[axis] for axis in order)
-        for columns in parts.values()
+        tuple(held[part] for part in order)
+        for held in parts.values()
         for order in ("wxyz", "0123")
-        if {*order} <= columns.keys()
+        if {*order} <= held.keys()
     )
     return next(fours, None)
 
 
-def reference_map(text: Text, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return an example of the map that a table of quaternions needs, or an empty list for other tables."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MapProposal:
+    """The map that a table seems to need. A unit or rate that nothing shows is "?", for a person to fill in."""
+
+    columns: dict[str, Any]  # column or columns of each channel; of orientations: time, quaternion
+    units: dict[str, str]
+    reasons: dict[str, str] = field(default_factory=dict)  # figure that suggests a unit, if no name states it
+    rate: str = ""  # sample rate of a table without time, Hz, with its source; "?" if nothing states it
+    layout: dict[str, Any] = field(default_factory=dict)  # what of a text layout is not usual
+    others: str = ""  # first columns of other sensors in the file, which are not taken
+
+    def lines(self) -> tuple[str, ...]:
+        """Return the lines of the map."""
+        why = "; ".join(f"{channel} by {reason}" for channel, reason in self.reasons.items())
+        taken = f"  # one sensor; not taken: {self.others}" * bool(self.others)
+        lines = [f"columns = {{ {_table(self.columns)} }}{taken}"]
+        lines += [f"units = {{ {_table(self.units)} }}" + f"  # proposed: {why}" * bool(why)] if self.units else []
+        lines += [f"sample_rate_hz = {self.rate}"] if self.rate else []
+        layout = {key: value for key, value in self.layout.items() if key != "drop_bad_rows"}
+        if "quaternion" in self.columns:
+            return (*lines, *([f"layout = {{ {_table(layout)} }}"] if layout else []))
+        lines += [f"{key} = {json.dumps(value)}" for key, value in layout.items()]
+        lines += ["drop_bad_rows = true  # the row of units"] if "drop_bad_rows" in self.layout else []
+        return tuple(lines)
+
+
+def _table(values: Mapping[str, Any]) -> str:
+    """Return the keys of an inline table of TOML."""
+    return ", ".join(f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in values.items())
+
+
+def propose_poses(text: Text, names: tuple[str, ...]) -> MapProposal | None:
+    """Return the map that a table of quaternions needs; None for a table of readings or without quaternions."""
     four = quaternion_of_names(names)
     if four is None or any(label is not None and label.channel == "gyro" for label in map(label_of, names)):
-        return ()
+        return None
     read = partial(_readings, text, {})
     length = np.linalg.norm(read(list(four)), axis=1)
     if not len(length) or abs(float(np.median(length)) - 1.0) > NEARLY_UNIT:
-        return ()
-    lines = [f"columns = {{ quaternion = {_quoted(four)} }}", f"sample_rate_hz = {_stated_rate(text, ())}"]
+        return None
     clock = next((name for name in names if _NAMED["time"].match(name.strip())), None)
-    if clock is not None:
-        unit = _unit_of("time", clock)
-        unit, why = proposed_units(read, {"time": _quoted(clock)}, {"time": unit}).get("time", (unit, ""))
-        lines = [f"columns = {{ time = {_quoted(clock)}, quaternion = {_quoted(four)} }}"]
-        lines += [f'units = {{ time = "{unit}" }}' + f"  # proposed: time by {why}" * bool(why)]
-    layout = ", ".join(f"{key} = {json.dumps(value)}" for key, value in stated_layout(text.layout).items())
-    return (*lines, *([f"layout = {{ {layout} }}"] if layout else []))
+    layout = _unusual(text.layout)
+    if clock is None:
+        return MapProposal(columns={"quaternion": list(four)}, units={}, rate=_stated_rate(text, ()), layout=layout)
+    unit = _unit_of("time", clock)
+    found = _units_by_size(read, {"time": [clock]}, {"time": unit})
+    return MapProposal(
+        columns={"time": clock, "quaternion": list(four)},
+        units={"time": found.get("time", (unit, ""))[0]},
+        reasons={channel: why for channel, (_, why) in found.items()},
+        layout=layout,
+    )
 
 
-def stated_layout(layout: TextLayout) -> dict[str, Any]:
+def _unusual(layout: TextLayout) -> dict[str, Any]:
     """Return what of a layout is not usual."""
-    usual = TextLayout()
-    return {
-        key: setting
-        for key in ("delimiter", "decimal", "header", "skip_rows")
-        if (setting := getattr(layout, key)) != getattr(usual, key)
-    }
+    keys = ("delimiter", "decimal", "header", "skip_rows")
+    return {key: value for key in keys if (value := getattr(layout, key)) != getattr(TextLayout(), key)}
 
 
 def _is_magnetic(name: str) -> bool:
@@ -163,7 +195,7 @@ def triples_of(names: tuple[str, ...]) -> tuple[tuple[str, str, str], ...]:
     """Return names that differ only in an x, y, z, or in a number 0, 1, 2 or 1, 2, 3 at their end. They are three axes
     of a quantity.
     """
-    name_set, triples = set(names), []
+    known, found = set(names), []
     for name in names:
         axes = [(match.start(), "xyz" if match.group() == "x" else "XYZ") for match in re.finditer("[xX]", name)]
         if (number := re.search(r"[A-Za-z].*[_ \[](?=[01]\]?$)", name)) is not None:
@@ -172,100 +204,93 @@ def triples_of(names: tuple[str, ...]) -> tuple[tuple[str, str, str], ...]:
         for at, marks in axes:
             triple = tuple(f"{name[:at]}{mark}{name[at + 1 :]}" for mark in marks)
             numbers = (int(marks[0]) - 1, int(marks[0]) + 3) if marks[0].isdigit() else ()
-            numbered = {f"{name[:at]}{number}{name[at + 1 :]}" for number in numbers}  # a fourth one: no three axes
-            if name_set.issuperset(triple) and name_set.isdisjoint(numbered):
-                triples.append((triple[0], triple[1], triple[2]))
-    return tuple(triples)
+            others = {f"{name[:at]}{number}{name[at + 1 :]}" for number in numbers}  # a fourth one: no three axes
+            if known.issuperset(triple) and known.isdisjoint(others):
+                found.append((triple[0], triple[1], triple[2]))
+    return tuple(found)
 
 
-def example_map(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> tuple[str, ...]:
-    """Return an example of the map that a table needs. An unknown unit is "?", for a person to fill in."""
-    readings = partial(_readings, text, dict(arrays))
+def propose(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> MapProposal:
+    """Return the map that a table of readings seems to need."""
     below = [] if text is None else text.head.decode("utf-8", "replace").splitlines()[text.skip : text.skip + 1]
     cells = [] if text is None or not below else _cells(below[0], text.layout.delimiter, text.layout.decimal)
     row = {} if text is None else dict(zip(text.names, cells, strict=False))
     nameless = text is not None and not text.layout.header and names[-1].isdecimal()
-    keys = _columns_from_readings(text) if text is not None and nameless else _columns_from_names(names, text, arrays)
-    unit_by_channel = {channel: _unit_of(channel, value) for channel, value in keys.items()}
-    if unit_by_channel.get("time") == "?" and is_date(row.get(str(_listed(keys["time"])[0]), "")):
-        unit_by_channel["time"] = "date"
-    proposed = proposed_units(readings, keys, unit_by_channel)
-    columns = ", ".join(f"{channel} = {value}" for channel, value in keys.items())
-    unit_by_channel |= {channel: unit for channel, (unit, _) in proposed.items()}
-    units = ", ".join(f'{channel} = "{unit}"' for channel, unit in unit_by_channel.items())
-    why = "; ".join(f"{channel} by {why}" for channel, (_, why) in proposed.items())
-    lines = [f"columns = {{ {columns} }}", f"units = {{ {units} }}" + f"  # proposed: {why}" * bool(why)]
-    lines += [] if "time" in keys else [f"sample_rate_hz = {_stated_rate(text, arrays)}"]
-    if text is not None:
-        lines += [f"{key} = {json.dumps(setting)}" for key, setting in stated_layout(text.layout).items()]
-        mapped = [row.get(str(column), "") for value in keys.values() for column in _listed(value)]
-        has_text = any(not is_number(cell, empty=True) and not is_date(cell) for cell in mapped)
-        lines += ["drop_bad_rows = true  # the row of units"] if has_text and text.layout.header else []
-    return tuple(lines)
+    columns, others = (_by_position(text), "") if text is not None and nameless else _by_name(names, text, arrays)
+    listed = {channel: value if isinstance(value, list) else [value] for channel, value in columns.items()}
+    units = {channel: _unit_of(channel, *map(str, value)) for channel, value in listed.items()}
+    if units.get("time") == "?" and is_date(row.get(str(listed["time"][0]), "")):
+        units["time"] = "date"
+    found = _units_by_size(partial(_readings, text, dict(arrays)), listed, units)
+    layout = {} if text is None else _unusual(text.layout)
+    mapped = [row.get(str(column), "") for value in listed.values() for column in value]
+    if text is not None and text.layout.header:  # a row of units below the header
+        words = any(not is_number(cell, empty=True) and not is_date(cell) for cell in mapped)
+        layout |= {"drop_bad_rows": True} if words else {}
+    return MapProposal(
+        columns=columns,
+        units=units | {channel: unit for channel, (unit, _) in found.items()},
+        reasons={channel: why for channel, (_, why) in found.items()},
+        rate="" if "time" in columns else _stated_rate(text, arrays),
+        layout=layout,
+        others=others,
+    )
 
 
-def _columns_from_names(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> dict[str, str]:
-    """Return the columns of each channel, as a map writes them."""
-    keys: dict[str, str] = {}
-    triples = {triple[0]: _quoted(triple) for triple in triples_of(names)}
-    threes = {name: _quoted(name) for name, array in arrays if array.ndim == 2 and array.shape[1] == 3}
-    quoted = threes or triples
-    labels = {name: label_of(name) for name in quoted}
-    bare = [name for name, label in labels.items() if label is None and not _NO_SENSOR.search(name)] * (not threes)
-    is_gyro_file = text is not None and _OF_GYRO.search(text.path.name) is not None
-    for channel, unlabelled in (("gyro", bare if is_gyro_file else []), ("accel", [] if is_gyro_file else bare)):
-        labelled = [name for name, label in labels.items() if label is not None and label.channel == channel]
+def _by_name(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> tuple[dict[str, Any], str]:
+    """Return the columns of each channel, and the first columns of other sensors."""
+    keys: dict[str, Any] = {}
+    threes: dict[str, Any] = {name: name for name, array in arrays if array.ndim == 2 and array.shape[1] == 3}
+    if six := [] if threes else [name for name, array in arrays if array.ndim == 2 and array.shape[1] == 6]:
+        for channel, start in (("accel", 0), ("gyro", 3)):  # the usual order, to be checked
+            keys[channel] = [f"{six[0]}[{k}]" for k in range(start, start + 3)]
+    choices = threes or {triple[0]: list(triple) for triple in triples_of(names)}
+    labels = {name: label_of(name) or label_of(re.sub(r"\d+$", "", name)) for name in choices}  # ax1 is ax of a sensor
+    bare = [name for name, label in labels.items() if label is None and not _NO_SENSOR.search(name) and not threes]
+    of_gyro = text is not None and _OF_GYRO.search(text.path.name) is not None
+    for channel, others in (("gyro", bare if of_gyro else []), ("accel", [] if of_gyro else bare)):
+        named = [name for name, label in labels.items() if label is not None and label.channel == channel]
         numbered = [name for name, label in labels.items() if label is None and not name[-1].isalpha()]
-        first = _likely(channel, tuple(quoted) if threes else (*labelled, *numbered)) or next(
-            iter([*labelled, *unlabelled]), None
+        first = _likely(channel, tuple(choices) if threes else (*named, *numbered)) or next(
+            iter([*named, *others]), None
         )
         if first is not None:
-            keys[channel] = quoted[first]
+            keys[channel] = choices[first]
     for channel, pattern in _NAMED.items():
         name = next((n for n in names if pattern.match(n.strip().rpartition(".")[2])), None)
         if name is not None:
-            keys = {channel: _quoted(name), **keys} if channel == "time" else {**keys, channel: _quoted(name)}
-    return keys or {"gyro": '["gx", "gy", "gz"]', "accel": '["ax", "ay", "az"]'}
+            keys = {channel: name, **keys} if channel == "time" else {**keys, channel: name}
+    taken = [value[0] for value in keys.values() if isinstance(value, list)]
+    others = [n for n, x in labels.items() if x is not None and x.channel in ("gyro", "accel") and n not in taken]
+    return keys or {"gyro": ["gx", "gy", "gz"], "accel": ["ax", "ay", "az"]}, ", ".join(others)
 
 
-def _quoted(columns: object) -> str:
-    return json.dumps(columns, ensure_ascii=False)
-
-
-def _listed(value: str) -> list[Column]:
-    columns = json.loads(value)
-    return columns if isinstance(columns, list) else [columns]
-
-
-def proposed_units(
-    readings: Callable[[list[Column]], FloatArray], keys: dict[str, str], units: dict[str, str]
+def _units_by_size(
+    readings: Callable[[list[Column]], FloatArray], columns: dict[str, list[Column]], units: dict[str, str]
 ) -> dict[str, tuple[str, str]]:
     """Return proposed units of channels whose names have no unit, and the figure that suggests each."""
-    samples = {channel: readings(_listed(keys[channel])) for channel in keys if units[channel] == "?"}
-    samples = {channel: values for channel, values in samples.items() if len(values) > 1}
-    proposals: dict[str, tuple[str, str]] = {}
+    held = {channel: readings(columns[channel]) for channel in columns if units[channel] == "?"}
+    held = {channel: values for channel, values in held.items() if len(values) > 1}
+    found: dict[str, tuple[str, str]] = {}
 
     def propose(channel: str, value: float, ranges: dict[str, tuple[float, float]], what: str) -> None:
         unit = next((unit for unit, (low, high) in ranges.items() if low <= value < high), None)
         if unit is not None:
-            proposals[channel] = (unit, f"{what} {value:.4g}")
+            found[channel] = (unit, f"{what} {value:.4g}")
 
-    if "accel" in samples and samples["accel"].shape[1] == 3:
-        propose("accel", float(np.median(np.linalg.norm(samples["accel"], axis=1))), _AT_REST, "the median |a|")
-    if "gyro" in samples:
-        largest, is_integer = (
-            float(np.abs(samples["gyro"]).max()),
-            np.array_equal(samples["gyro"], np.round(samples["gyro"])),
-        )
-        if is_integer and (largest > _COUNTS or proposals.get("accel", ("", ""))[0] == "count"):
-            proposals["gyro"] = ("count", f"whole numbers up to {largest:.4g}")
-        elif not is_integer and (largest >= _RATE["dps"][0] or _least_spread(samples["gyro"]) < _SPREAD_RAD_S):
+    if "accel" in held and held["accel"].shape[1] == 3:
+        propose("accel", float(np.median(np.linalg.norm(held["accel"], axis=1))), _AT_REST, "the median |a|")
+    if "gyro" in held:
+        largest, whole = float(np.abs(held["gyro"]).max()), np.array_equal(held["gyro"], np.round(held["gyro"]))
+        if whole and (largest > _COUNTS or found.get("accel", ("", ""))[0] == "count"):
+            found["gyro"] = ("count", f"whole numbers up to {largest:.4g}")
+        elif not whole and (largest >= _RATE["dps"][0] or _least_spread(held["gyro"]) < _SPREAD_RAD_S):
             propose("gyro", largest, _RATE, "the largest rate")
-    if "time" in samples and (step := float(np.median(np.diff(samples["time"][:, 0])))) != 1.0:  # of a counter, or 1 ms
+    if "time" in held and (step := float(np.median(np.diff(held["time"][:, 0])))) != 1.0:  # of a counter, or 1 ms
         propose("time", step, _STEP, "the median step")
-    if "temp" in samples and not np.array_equal(samples["temp"], np.round(samples["temp"])):
-        propose("temp", float(np.median(samples["temp"])), {"degC": _TEMP_C}, "the median")
-    return proposals
+    if "temp" in held and not np.array_equal(held["temp"], np.round(held["temp"])):
+        propose("temp", float(np.median(held["temp"])), {"degC": _TEMP_C}, "the median")
+    return found
 
 
 def _least_spread(values: FloatArray) -> float:
@@ -282,36 +307,36 @@ def _stated_rate(text: Text | None, arrays: Arrays) -> str:
         if array.size == 1 and _STATED_NAME.search(name) and np.ravel(array)[0] > 0:
             return f"{float(np.ravel(array)[0]):g}  # by {name}"
     for line in [] if text is None else text.head.decode("utf-8", "replace").splitlines()[: text.layout.skip_rows]:
-        if match := _STATED_RATE.search(line):
-            return f"{float(match.group(1)):g}  # by the line {json.dumps(line.strip()[:40])}"
+        if found := _STATED_RATE.search(line):
+            return f"{float(found.group(1)):g}  # by the line {json.dumps(line.strip()[:40])}"
     return "?"
 
 
-def _readings(text: Text | None, arrays: dict[str, Any], columns: list[Column]) -> FloatArray:
-    """Return columns from the first MiB of text or from an array, (N, K), without rows that have gaps. The result may
-    be empty.
-    """
-    values = arrays.get(str(columns[0]))
+def _readings(text: Text | None, arrays: Mapping[str, Any], columns: list[Column]) -> FloatArray:
+    """Return columns of the first MiB of text, or of arrays, (N, K), rows with gaps left out; none where there are none."""
+    parts: list[Any] = []
     if text is not None:
-        is_complete = text.content is None and len(text.head) < 1 << 20
-        head = text.head if is_complete else text.head[: text.head.rfind(b"\n") + 1]
-        try:
-            rows = replace(text, content=head, layout=replace(text.layout, drop_bad_rows=True))
-            table = parse_text(rows, tuple(columns))
-            values = np.stack([table.numbers(column) for column in columns], axis=1)
-        except InputError:
-            values = None
-    if values is None or values.dtype.kind not in "fiu" or values.ndim > 2 or not values.size:
+        whole = text.content is None and len(text.head) < 1 << 20
+        head = text.head if whole else text.head[: text.head.rfind(b"\n") + 1]
+        with suppress(InputError):
+            table = parse_text(replace(text, content=head, layout=text.layout.but(drop_bad_rows=True)), tuple(columns))
+            parts = [table.numbers(column) for column in columns]
+    else:
+        flat = {f"{name}[{k}]": x[:, k] for name, x in arrays.items() if x.ndim == 2 for k in range(x.shape[1])}
+        parts = [x for column in columns if (x := {**flat, **arrays}.get(str(column))) is not None]
+    if len(parts) != len(columns) or any(x.dtype.kind not in "fiu" or x.ndim > 2 or not x.size for x in parts):
         return np.empty((0, 1))
-    values = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
-    return values[np.isfinite(values).all(axis=1)]
+    values = np.column_stack(parts).astype(np.float64)
+    return np.asarray(values[np.isfinite(values).all(axis=1)])
 
 
-def _unit_of(channel: str, names: str) -> str:
-    labels = [label_of(name) for name in re.findall(r'"([^"]*)"', names)]
-    if labels and labels[0] is not None and labels[0].unit and labels[0].gain == 1.0 and labels[0].channel == channel:
-        return labels[0].unit
-    return next((unit for unit, labels in _UNITS[channel] if re.search(labels, names, re.IGNORECASE)), "?")
+def _unit_of(channel: str, *names: str) -> str:
+    """Return the unit that the names of columns state, "?" if they state none."""
+    label = label_of(names[0])
+    if label is not None and label.unit and label.gain == 1.0 and label.channel == channel:
+        return label.unit
+    shown = json.dumps(names, ensure_ascii=False)
+    return next((unit for unit, pattern in _UNITS[channel] if re.search(pattern, shown, re.IGNORECASE)), "?")
 
 
 def _median_length(values: FloatArray) -> tuple[float, float]:
@@ -333,7 +358,7 @@ def _is_temperature(values: FloatArray) -> bool:
     return _WARM_C < middle < _TEMP_C[1] and not np.array_equal(values, np.round(values))
 
 
-def _columns_from_readings(text: Text) -> dict[str, str]:
+def _by_position(text: Text) -> dict[str, Any]:
     """Return a proposal for a table without names: a growing first column is time, the steadiest three axes read gravity."""
     lines = [line for line in text.head.decode("utf-8", "replace").splitlines()[text.skip :] if line.strip()][:8]
     first = [_cells(line, text.layout.delimiter, text.layout.decimal)[0] for line in lines]
@@ -341,22 +366,21 @@ def _columns_from_readings(text: Text) -> dict[str, str]:
     grows = (all(b > a for a, b in pairwise(numbers)) and len(numbers) > 1) or all(map(is_date, first))
     columns = {k: _readings(text, {}, [k]) for k in range(grows, len(text.names))}
     free = [k for k, values in columns.items() if len(values) and not _counts(values)]
-    keys: dict[str, object] = {"time": 0} if grows else {}
+    keys: dict[str, Any] = {"time": 0} if grows else {}
     if len(free) % 3 == 1:
         keys["temp"] = free.pop(0 if _is_temperature(columns[free[0]]) else -1)
     threes = [free[k : k + 3] for k in (0, 3) if k + 3 <= len(free)]
     if not threes:
         return {}
     if _OF_GYRO.search(text.path.name):
-        return {channel: str(columns) for channel, columns in (keys | {"gyro": threes[0]}).items()}
+        return keys | {"gyro": threes[0]}
     lengths = [_median_length(_readings(text, {}, [*axes])) for axes in threes]
-    gravity_like = [
+    at_rest = [
         k for k, (length, _) in enumerate(lengths) if any(low <= length < high for low, high in _AT_REST.values())
     ]
-    accel = min(gravity_like, key=lambda k: lengths[k][1], default=0)
+    accel = min(at_rest, key=lambda k: lengths[k][1], default=0)
     keys["accel"] = threes[accel]
-    keys |= {"gyro": threes[1 - accel]} if len(threes) > 1 else {}
-    return {channel: str(columns) for channel, columns in keys.items()}
+    return keys | ({"gyro": threes[1 - accel]} if len(threes) > 1 else {})
 
 
 def _likely(channel: str, names: tuple[str, ...]) -> str | None:
@@ -364,7 +388,7 @@ def _likely(channel: str, names: tuple[str, ...]) -> str | None:
     return next((name for name in names if stem in name.lower() or _LIKELY[channel].match(name.strip())), None)
 
 
-def _has_cells(line: str, delimiter: str, width: int) -> bool:
+def _filled(line: str, delimiter: str, width: int) -> bool:
     """Return True if a line has as many cells as the table is wide, with content in half of them."""
     cells = _cells(line, delimiter)
     return len(cells) == width and 2 * sum(bool(cell.strip()) for cell in cells) >= width

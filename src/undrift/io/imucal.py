@@ -15,39 +15,58 @@ from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
 from undrift.files import read_bytes
 from undrift.findings import finding
-from undrift.io.columns import naming
+from undrift.io.column_map import naming
 from undrift.model import G_NAMES, MATRIX_NAMES, OFFSET_NAMES, Calibration, Provenance, TriadModel, Verdict
 from undrift.units import canonical_unit, is_physical, si_factor
 
 LARGEST = 4_000_000  # bytes of such a file
 VERSION = "2.0.0"
-KIND = "Ferraris"
 GRAVITY = 9.81  # m/s2: the default of imucal's procedure
 WHAT = "imucal calibration"
 
 
+def is_imucal(path: Path) -> bool:
+    """Return whether a file is a calibration of imucal, from its content."""
+    if not path.is_file() or path.stat().st_size > LARGEST:
+        return False
+    content = read_bytes(path)
+    return b"\0" not in content and re.search(rb'"cal_type"\s*:', content) is not None
+
+
+def read_imucal(path: Path) -> Calibration:
+    """Read a calibration of imucal."""
+    with naming(path):
+        return import_imucal(read_bytes(path).decode("utf-8", "replace"), device=path.stem)
+
+
 def import_imucal(text: str, *, device: str = "") -> Calibration:
     """Return the calibration of a FerrarisCalibrationInfo of imucal."""
-    content = _read_imucal(text)
-    comment = _comment(content.get("comment"))
-    unit_a, unit_g = _unit(content, "from_acc_unit", "accel"), _unit(content, "from_gyr_unit", "rate")
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise FileFormatError(f"{WHAT}: expected JSON, got {error}. Save it again from imucal.") from error
+    kind = content.get("cal_type") if isinstance(content, dict) else None
+    if kind != "Ferraris":
+        raise FileFormatError(f"{WHAT}: expected cal_type 'Ferraris', got {kind!r}, which is not supported.")
+    version = content.get("_format_version", VERSION if "from_acc_unit" in content else "1.0.0")
+    if version != VERSION:
+        raise FileFormatError(
+            f"{WHAT}: expected format {VERSION}, got {version!r}. Convert it with imucal's legacy helpers first."
+        )
     out_a = si_factor(_unit(content, "acc_unit", "accel"), "accel")
     out_g = si_factor(_unit(content, "gyr_unit", "rate"), "rate")
     inverse_a, inverse_g = _inverse(content, "K_a", "R_a"), _inverse(content, "K_g", "R_g")
     g = inverse_g @ _array(content, "K_ga", (3, 3)) * (out_g / out_a)
-
-    def number(key: str, default: float) -> float:
-        value = comment.get(key)
-        return float(value) if isinstance(value, int | float) else default
-
     return Calibration(
-        device=comment.get("device") or device,
-        reference_temp_c=number("reference_temp_c", math.nan),
-        gravity_m_s2=number("gravity_m_s2", GRAVITY),
-        gyro=_model(inverse_g * out_g, _array(content, "b_g", (3,)), unit_g, "rad/s", g),
-        accel=_model(inverse_a * out_a, _array(content, "b_a", (3,)), unit_a, "m/s2"),
+        device=device,
+        reference_temp_c=math.nan,
+        gravity_m_s2=GRAVITY,
+        gyro=_model(
+            inverse_g * out_g, _array(content, "b_g", (3,)), _unit(content, "from_gyr_unit", "rate"), "rad/s", g
+        ),
+        accel=_model(inverse_a * out_a, _array(content, "b_a", (3,)), _unit(content, "from_acc_unit", "accel"), "m/s2"),
         verdict=Verdict(status="marginal", findings=(finding("imported.uncertainty", "warn", program="imucal"),)),
-        provenance=Provenance(created=str(comment.get("created", ""))),
+        provenance=Provenance(created=""),
     )
 
 
@@ -70,46 +89,16 @@ def _model(matrix: FloatArray, offset: FloatArray, unit: str, out: str, g: Float
     )
 
 
-def _read_imucal(text: str) -> dict[str, Any]:
-    try:
-        content = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise FileFormatError(f"{WHAT}: expected JSON, got {error}. Save it again from imucal.") from error
-    kind = content.get("cal_type") if isinstance(content, dict) else None
-    if kind != KIND:
-        raise FileFormatError(
-            f"{WHAT}: expected cal_type {KIND!r}, got {kind!r}, which is not supported. Save a "
-            f"calibration of that kind."
-        )
-    version = content.get("_format_version", VERSION if "from_acc_unit" in content else "1.0.0")
-    if version != VERSION:
-        raise FileFormatError(
-            f"{WHAT}: expected format {VERSION}, got {version!r}. Convert it with imucal's legacy helpers first."
-        )
-    return dict(content)
-
-
-def _comment(comment: object) -> dict[str, Any]:
-    """Return the data that ``export_imucal`` wrote into a comment, or nothing for other comments."""
-    if not isinstance(comment, str) or not comment.startswith("undrift "):
-        return {}
-    try:
-        content = json.loads(comment.removeprefix("undrift "))
-    except (ValueError, RecursionError):
-        return {}
-    return content if isinstance(content, dict) else {}
-
-
 def _unit(content: dict[str, Any], key: str, quantity: Any) -> str:
     unit = content.get(key)
-    spelling = "count" if unit == "a.u." else unit
+    known = "count" if unit == "a.u." else unit
     try:
-        canonical = canonical_unit(spelling, quantity) if isinstance(spelling, str) else ""
+        found = canonical_unit(known, quantity) if isinstance(known, str) else ""
     except InputError:
-        canonical = ""
-    if not canonical or (not key.startswith("from") and not is_physical(canonical)):
+        found = ""
+    if not found or (not key.startswith("from") and not is_physical(found)):
         raise FileFormatError(f"{WHAT}: expected a unit for {key}, got {unit!r}. Write it into the file.")
-    return canonical
+    return found
 
 
 def _array(content: dict[str, Any], key: str, shape: tuple[int, ...]) -> FloatArray:
@@ -126,19 +115,4 @@ def _inverse(content: dict[str, Any], gains: str, axes: str) -> FloatArray:
     forward = _array(content, gains, (3, 3)) @ _array(content, axes, (3, 3))
     if np.linalg.matrix_rank(forward) < 3:
         raise FileFormatError(f"{WHAT}: the matrix {gains} {axes} has no inverse. Calibrate again.")
-    inverse: FloatArray = np.linalg.inv(forward)
-    return inverse
-
-
-def is_imucal(path: Path) -> bool:
-    """Return whether a file is a calibration of imucal, from its content."""
-    if not path.is_file() or path.stat().st_size > LARGEST:
-        return False
-    content = read_bytes(path)
-    return b"\0" not in content and re.search(rb'"cal_type"\s*:', content) is not None
-
-
-def read_imucal(path: Path) -> Calibration:
-    """Read a calibration of imucal."""
-    with naming(path):
-        return import_imucal(read_bytes(path).decode("utf-8", "replace"), device=path.stem)
+    return np.asarray(np.linalg.inv(forward))

@@ -8,6 +8,7 @@ import json
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -17,28 +18,20 @@ from undrift.arrays import BoolArray, FloatArray, IntArray, runs
 from undrift.errors import InputError
 from undrift.files import read_bytes, read_tree
 from undrift.findings import Finding, finding
-from undrift.io.arrays import mat_arrays
-from undrift.io.clock import ClockFit, host_stamps
-from undrift.io.columns import (
-    AXES,
-    READ_SETTINGS,
-    Clock,
-    ColumnMap,
-    ReadResult,
-    ReadSettings,
-    is_native,
-    native_columns,
-)
+from undrift.io.arrays import Arrays, mat_arrays
+from undrift.io.clock import host_stamps
+from undrift.io.column_map import AXES, READ_SETTINGS, ColumnMap, is_native, read_map
+from undrift.io.columns import ReadResult, native_columns
 from undrift.io.dialects import may_hold_poses
 from undrift.io.formats import Format, format_of, read_counted, read_markers, read_reference
-from undrift.io.guess import example_map, foreign_kind, reference_map, sniff, triples_of
+from undrift.io.guess import MapProposal, foreign_kind, propose, propose_poses, sniff, triples_of
 from undrift.io.imucal import is_imucal
 from undrift.io.labelled import states_units
 from undrift.io.log import log_sheet, log_text
 from undrift.io.mocap import Markers, Up
 from undrift.io.parquet import parquet_names
 from undrift.io.reference import ReferenceMap, native_reference
-from undrift.io.session import read_map, read_session
+from undrift.io.session import read_session
 from undrift.io.text import Text
 from undrift.record import Record, Reference, Session
 from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, STANDARD_GRAVITY, is_physical, si_factor
@@ -55,34 +48,27 @@ STUCK = 8  # samples in a row at the largest reading
 
 def find_symptoms(record: Record) -> tuple[Finding, ...]:
     """Return what looks wrong with a recording."""
-    symptoms = [*check_gravity(record), *_check_rest(record), *_temperature(record), *_sampling(record.time)]
+    found = [*check_gravity(record), *_rest(record), *_temperature(record), *_sampling(record.time)]
     for name in ("gyro", "accel"):
         if getattr(record, name) is not None:
-            symptoms += _axes(name, getattr(record, name))
-    return (*symptoms, *find_saturated(record))
+            found += _axes(name, getattr(record, name))
+    return (*found, *find_saturated(record))
 
 
 def gaps_of(record: Record) -> int:
     """Return the number of samples with a gap in any channel."""
-    gap = np.zeros(len(record), dtype=np.bool_)
-    for values in (record.gyro, record.accel, record.mag_ut, record.temp_c):
-        if values is not None:
-            gap |= np.isnan(values).reshape(len(record), -1).any(axis=1)
-    return int(gap.sum())
-
-
-def median_accel_g(record: Record) -> float:
-    """Return the median length of the specific force."""
-    if record.accel is None or not is_physical(record.accel_unit):
-        return float("nan")
-    size = np.linalg.norm(record.accel, axis=1) * (si_factor(record.accel_unit, "accel") / STANDARD_GRAVITY)
-    return float(np.nanmedian(size)) if np.isfinite(size).any() else float("nan")
+    channels = (record.gyro, record.accel, record.mag_ut, record.temp_c)
+    gaps = [np.isnan(values).reshape(len(record), -1).any(axis=1) for values in channels if values is not None]
+    return int(np.any(gaps, axis=0).sum())
 
 
 def check_gravity(record: Record) -> Iterator[Finding]:
     """Yield a finding if the specific force is far from 1 g at its median."""
-    median = median_accel_g(record)
-    if not np.isnan(median) and not GRAVITY_RANGE[0] <= median <= GRAVITY_RANGE[1]:
+    if record.accel is None or not is_physical(record.accel_unit) or not np.isfinite(record.accel).all(axis=1).any():
+        return
+    size = np.linalg.norm(record.accel, axis=1) * (si_factor(record.accel_unit, "accel") / STANDARD_GRAVITY)
+    median = float(np.nanmedian(size))
+    if not GRAVITY_RANGE[0] <= median <= GRAVITY_RANGE[1]:
         small = 0.0 < median < 1.0
         factor, direction = (1.0 / median, "small") if small else (median, "large")
         units = "g, not m/s2" if small else "m/s2, not g"
@@ -90,7 +76,7 @@ def check_gravity(record: Record) -> Iterator[Finding]:
         yield finding("recording.gravity", "warn", median_g=median, factor=factor, direction=direction, cause=cause)
 
 
-def _check_rest(record: Record) -> Iterator[Finding]:
+def _rest(record: Record) -> Iterator[Finding]:
     """Return the offset of a gyroscope from the quietest two seconds."""
     size = max(8, int(2.0 * record.sample_rate_hz))
     count = len(record) // size
@@ -103,8 +89,8 @@ def _check_rest(record: Record) -> Iterator[Finding]:
         best = int(np.nanargmin(spread))
         mean = float(np.linalg.norm(blocks[best].mean(axis=0)))
         if mean >= REST_TURN_RATE and spread[best] <= 0.1 * mean:
-            quiet_s = record.time[best * size]
-            yield finding("recording.rest_rate", "warn", turn_rate_dps=mean / RADIAN_PER_DEGREE, at_s=quiet_s)
+            at_s = record.time[best * size]
+            yield finding("recording.rest_rate", "warn", turn_rate_dps=mean / RADIAN_PER_DEGREE, at_s=at_s)
 
 
 def _temperature(record: Record) -> Iterator[Finding]:
@@ -127,8 +113,10 @@ def _temperature(record: Record) -> Iterator[Finding]:
 def _sampling(time: FloatArray) -> Iterator[Finding]:
     stamps = host_stamps(time)
     if stamps is not None:
-        steps_ms = {"low_ms": stamps.low_ms, "high_ms": stamps.high_ms, "jitter_ms": 1e3 * stamps.fit.jitter_s}
-        yield finding("recording.host_clock", "warn", **steps_ms, **_clock_values(stamps.fit))
+        fit = stamps.fit
+        values = {"low_ms": stamps.low_ms, "high_ms": stamps.high_ms, "jitter_ms": 1e3 * fit.jitter_s}
+        values |= {"sample_rate_hz": fit.sample_rate_hz, "gaps": fit.gaps, "missing": fit.missing}
+        yield finding("recording.host_clock", "warn", **values, longest_s=fit.longest_step_s)
         return
     steps = np.diff(time)
     low, middle, high = np.quantile(steps, 0.25), float(np.median(steps)), np.quantile(steps, 0.75)
@@ -137,25 +125,18 @@ def _sampling(time: FloatArray) -> Iterator[Finding]:
         yield finding("recording.uneven_sampling", "warn", what="Uneven sampling", numbers=numbers)
     lost = steps > 1.5 * middle
     if lost.any():
-        count, longest_s, longest_start_s = int(lost.sum()), steps.max(), time[int(steps.argmax())]
-        numbers = f"{count}, the longest {longest_s:.4g} s at {longest_start_s:.6g} s"
+        count, longest_s, at_s = int(lost.sum()), steps.max(), time[int(steps.argmax())]
+        numbers = f"{count}, the longest {longest_s:.4g} s at {at_s:.6g} s"
         numbers += f" (median step {1e3 * middle:.4g} ms, mean rate {(len(time) - 1) / (time[-1] - time[0]):.4g} Hz)"
         yield finding(
             "recording.uneven_sampling", "warn", what="Drop-outs", numbers=numbers, count=count, longest_s=longest_s
         )
 
 
-def _clock_values(fit: ClockFit) -> dict[str, Any]:
-    counts = {"gaps": fit.gaps, "missing": fit.missing}
-    return {"sample_rate_hz": fit.sample_rate_hz, **counts, "longest_s": fit.longest_step_s}
-
-
 def _axes(channel: str, values: FloatArray) -> Iterator[Finding]:
     for axis, column in zip(AXES, values.T, strict=True):
         column = column[np.isfinite(column)]
-        if len(column) < 2 * STUCK:
-            continue
-        if column.min() == column.max():
+        if len(column) >= 2 * STUCK and column.min() == column.max():
             yield finding("recording.dead_axis", "warn", channel=channel, axis=axis)
 
 
@@ -164,21 +145,21 @@ def _axes(channel: str, values: FloatArray) -> Iterator[Finding]:
 
 def find_saturated(record: Record) -> tuple[Finding, ...]:
     """Return a finding for each end of the range at which an axis of a record sticks."""
-    symptoms = []
+    found = []
     for channel, values in (("gyro", record.gyro), ("accel", record.accel)):
         for axis, column in () if values is None else zip(AXES, values.T, strict=True):
             for limit, stuck in saturated_runs(column):
                 longest = (stuck[:, 1] - stuck[:, 0]).max()
                 item = {"channel": channel, "axis": axis, "reading": limit, "count": longest}
-                symptoms.append(finding("recording.saturated", "warn", **item))
-    return tuple(symptoms)
+                found.append(finding("recording.saturated", "warn", **item))
+    return tuple(found)
 
 
 def saturated_runs(column: FloatArray) -> Iterator[tuple[float, IntArray]]:
     """Return each limit at which readings (N,) stick, and the stretches (R, 2) in which they do."""
     met = np.ascontiguousarray(
         column[::STUCK]
-    )  # a stretch that long contains one of these samples, and the same reading next to it
+    )  # a stretch that is as long has one of these in it, and the same reading beside it
     for end in (np.fmax, np.fmin) if len(column) >= 2 * STUCK else ():
         limit = end.reduce(met)
         at = STUCK * np.flatnonzero(met == limit)
@@ -211,9 +192,8 @@ def _ends_range(column: FloatArray, limit: float, stuck: IntArray) -> bool:
 
 # ---- describe
 
-# errors that an intact file may cause, because information is missing
-_MISSING = ("sensor", "sample_rate_hz", "columns", "readings")
-_TABLES = ("npz", "mat", "parquet", "csv", "log", "text")  # formats that a map turns into a recording
+_MISSING = ("sensor", "sample_rate_hz", "columns", "readings")  # what an intact file may leave unstated
+_TABLES = ("mat", "parquet", "csv", "log")  # what a map makes a recording of
 _REGULAR = 0.005  # mean and usual rate that differ by less are one figure
 
 
@@ -225,9 +205,9 @@ class Description:
     # recording, reference, markers, session, calibration, device, table (needs a map), settings, text or binary
     kind: str
     format: str  # A name of io.formats.FORMATS, or of another package's
-    summary: str  # a single line: its kind, or the information needed to read it
+    summary: str  # One line: what it is, or what it needs to be read
     rows: int | None = None  # Samples or frames
-    sample_rate_hz: float | None = None  # samples over time, including lost and uneven samples
+    sample_rate_hz: float | None = None  # Samples over time: what is lost or uneven counts
     usual_rate_hz: float | None = None  # By the usual step, drop-outs left out
     duration_s: float | None = None
     columns: tuple[str, ...] = ()  # Channels, markers, or column names
@@ -235,36 +215,37 @@ class Description:
     gaps: int = 0  # Samples with a gap
     temp_c: tuple[float, float] | None = None  # Lowest and highest
     findings: tuple[Finding, ...] = ()
-    # Lines of the map that a table of foreign names may need, "?" where a person must state the unit
-    example: tuple[str, ...] = ()
-    # the data read: a session, or a recording as a session of one recording
+    proposal: MapProposal | None = None  # map that a table of foreign names may need
+    # What was read: a session, or a recording as a session of one
     session: Session | None = field(default=None, repr=False)
 
     @property
+    def example(self) -> tuple[str, ...]:
+        """Lines of the map that a table of foreign names may need, "?" where a person must state the unit."""
+        return () if self.proposal is None else self.proposal.lines()
+
+    @property
     def problems(self) -> tuple[str, ...]:
-        """Return the findings as texts, without the notes on reading."""
-        return tuple(_finding_text(item) for item in self.findings if item.code != "recording.how_read")
+        """The findings as texts, but how the file was read."""
+        return tuple(_told(item) for item in self.findings if item.code != "recording.how_read")
 
     def lines(self) -> tuple[str, ...]:
         """Return every finding as a line that names its kind: how the file was read, a note, or a problem."""
         return tuple(
-            f"{'read' if item.code == 'recording.how_read' else 'note' if item.level == 'info' else 'problem'}: "
-            f"{_finding_text(item)}"
+            f"{'read' if item.code == 'recording.how_read' else 'note' if item.level == 'info' else 'problem'}: {_told(item)}"
             for item in self.findings
             if item.text != self.summary
         )
 
 
-def _finding_text(item: Finding) -> str:
+def _told(item: Finding) -> str:
     """Return the text of a finding, with the recording of a session that it is about."""
     return f"recording {item.values['recording']}: {item.text}" if "recording" in item.values else item.text
 
 
-def describe(
-    path: str | Path, columns: ColumnMap | None = None, *, settings: ReadSettings | None = None, up: Up | None = None
-) -> Description:
+def describe(path: str | Path, column_map: ColumnMap | None = None, *, up: Up | None = None) -> Description:
     """Return a description of the content of a file."""
-    path, settings = Path(path), settings or READ_SETTINGS
+    path, how = Path(path), column_map or READ_SETTINGS
     if is_imucal(path):
         summary = "calibration of imucal: constants without uncertainty"
         return Description(path=str(path), kind="calibration", format="imucal", summary=summary)
@@ -272,36 +253,35 @@ def describe(
     if entry.markers is not None:
         return _markers(path, name, up)
     if name == "session":
-        return _session(path, settings.clock)
+        return _session(path, how)
     if name in ("json", "toml"):
-        return _settings(path, name, settings.clock)
-    if entry.record is None and columns is None:
+        return _settings(path, name, how)
+    if entry.record is None and not how.columns:
         return _reference(path, name) if entry.reference or entry.bodies else _unread(path, name, entry)
-    needs = None if columns is not None else _needs(path, name)
+    needs = None if how.columns else _needs(path, name)
     if needs is not None:
         return needs
     try:
-        read = read_counted(path, columns, settings=settings)
+        read = read_counted(path, how)
     except InputError as error:
         missing = error.numbers.get("missing")
         if missing not in _MISSING:
             raise
         if missing == "readings" and may_hold_poses(name):
             return _reference(path, name)
-        names = error.numbers.get("names")
-        column_names = tuple(map(str, names)) if isinstance(names, tuple) else ()
-        description = _not_read(path, name, column_names, str(error).removeprefix(f"{path}: "), missing=str(missing))
-        example = error.numbers.get("example")
-        return replace(description, example=tuple(map(str, example)) if isinstance(example, tuple) else ())
-    description = describe_record(read, path=str(path), format_name=name)
-    if columns is None and name in ("csv", "parquet"):
+        columns, proposal = error.numbers.get("names", ()), error.numbers.get("proposal")
+        shown = tuple(map(str, columns)) if isinstance(columns, tuple) else ()
+        found = _not_read(path, name, shown, str(error).removeprefix(f"{path}: "), missing=str(missing))
+        return replace(found, proposal=MapProposal(**proposal)) if isinstance(proposal, dict) else found
+    found = describe_record(read, path=str(path), format_name=name)
+    if not how.columns and name in ("csv", "parquet"):
         names = sniff(path).names if name == "csv" else parquet_names(path)
-        unread = tuple(other for other in names if other not in description.columns)
+        unread = tuple(other for other in names if other not in found.columns)
         if unread:
             what = f"Columns not read, as they are not undrift's own names: {', '.join(unread[:12])}. Read them with a column map."
-            unread_finding = finding("recording.how_read", "info", what=what)
-            description = replace(description, findings=(*description.findings, unread_finding))
-    return description
+            left = finding("recording.how_read", "info", what=what)
+            found = replace(found, findings=(*found.findings, left))
+    return found
 
 
 def describe_record(read: ReadResult, *, path: str = "", format_name: str = "csv") -> Description:
@@ -329,17 +309,17 @@ def describe_record(read: ReadResult, *, path: str = "", format_name: str = "csv
         + f", {record.device}" * bool(record.device),
         findings=(*left_out, *find_symptoms(record)),
         session=Session(kind="calibration", serial="", gravity_m_s2=STANDARD_GRAVITY, records=(record,)),
-        **_describe_records(record),
+        **_of_records(record),
     )
 
 
-def _describe_records(*records: Record) -> dict[str, Any]:
+def _of_records(*records: Record) -> dict[str, Any]:
     """Return the description of several records: columns and units of the first, the rest of all."""
     first = records[0]
     channels = {"time": ("s", first.time), "gyro": (first.gyro_unit, first.gyro)}
     channels |= {"accel": (first.accel_unit, first.accel), "temp": ("degC", first.temp_c), "mag": ("uT", first.mag_ut)}
-    temperatures = [t[np.isfinite(t)] for t in (record.temp_c for record in records) if t is not None]
-    temp_c = np.concatenate(temperatures) if temperatures else np.empty(0)
+    seen = [t[np.isfinite(t)] for t in (record.temp_c for record in records) if t is not None]
+    temp_c = np.concatenate(seen) if seen else np.empty(0)
     return {
         "rows": sum(len(record) for record in records),
         "sample_rate_hz": mean_rate_hz(*records),
@@ -359,60 +339,56 @@ def mean_rate_hz(*records: Record) -> float:
 
 def needs_map(path: str | Path) -> bool:
     """Return True if a file is a table that requires a map: it has neither undrift's own names nor units."""
-    path = Path(path)
     name, _ = format_of(path)
-    if name not in _TABLES:
-        return False
-    return name == "text" or not is_native(_table_names(path, name, _text(path, name))[0])
+    return name == "text" or (name in _TABLES and not is_native(_contents(Path(path), name)[0]))
 
 
-def _text(path: Path, name: str) -> Text | None:
-    """Return the text of a table, None of arrays."""
-    return sniff(path) if name == "csv" else log_text(path) if name == "log" else None
-
-
-def _table_names(path: Path, name: str, text: Text | None) -> tuple[tuple[str, ...], tuple[tuple[str, Any], ...]]:
-    """Return the names of a table, and its arrays if it contains arrays."""
-    arrays = mat_arrays(path) if name == "mat" else ()
-    names = text.names if text else parquet_names(path) if name == "parquet" else tuple(key for key, _ in arrays)
-    return names, arrays
+def _contents(path: Path, name: str) -> tuple[tuple[str, ...], Text | None, Arrays]:
+    """Return the names of a table, its text if it is one, and its arrays if it holds arrays."""
+    if name == "parquet":
+        return parquet_names(path), None, ()
+    if name == "mat":
+        arrays = mat_arrays(path)
+        return tuple(key for key, _ in arrays), None, arrays
+    text = log_text(path) if name == "log" else sniff(path)
+    return text.names, text, ()
 
 
 def _needs(path: Path, name: str) -> Description | None:
-    """Return the description of a file that cannot be read without more settings, None where it can."""
-    if name not in _TABLES or name == "text":
+    """Return the description of a file that cannot be read without a map or as a recording, None if it can."""
+    if name not in _TABLES or (name == "log" and states_units(log_sheet(path))):
         return None
-    if name == "log" and states_units(log_sheet(path)):
-        return None
-    text = _text(path, name)
-    names, arrays = _table_names(path, name, text)
+    names, text, arrays = _contents(path, name)
     if is_native(names):
         return None
     if native_reference(names) is not None:
         return _reference(path, name)
-    if text is not None and (poses := reference_map(text, names)):
+    if text is not None and (poses := propose_poses(text, names)):
         what = "a table of orientations, which is read as a reference with a map"
-        return replace(_not_read(path, name, names, what), example=poses)
-    foreign = None if text is None else foreign_kind(text)
-    if foreign is not None:
+        return replace(_not_read(path, name, names, what), proposal=poses)
+    if (foreign := _no_recording(names, text, arrays)) is not None:
         return _not_read(path, name, names, foreign)
-    if (
-        name == "mat"
-        and not any(array.ndim == 2 and array.shape[1] == 3 for _, array in arrays)
-        and not triples_of(names)
-    ):
-        what = f"arrays without three axes ({', '.join(names[:4])}), not a recording of an inertial sensor"
-        return _not_read(path, name, names, what)
-    if text is not None and len(names) < 3:
-        what = "a table of fewer than three columns. A recording needs the three axes of a sensor in one file."
-        return _not_read(path, name, names, what)
-    example = example_map(names, text, arrays)
+    proposal = propose(names, text, arrays)
     what = f"{len(names)} arrays or columns"
     if text is not None:
         what = f"a table of {len(names)} columns" + " without names" * names[-1].isdecimal()
-    columns = tuple(f"{key} {array.shape}" for key, array in arrays) or names
-    needed = f"{what}. It needs a map with the true units, for example {', '.join(example)}"
-    return replace(_not_read(path, name, columns, needed), example=example)
+    shown = tuple(f"{key} {array.shape}" for key, array in arrays) or names
+    needed = f"{what}; needs a map with the true units, for example {', '.join(proposal.lines())}"
+    return replace(_not_read(path, name, shown, needed), proposal=proposal)
+
+
+def _no_recording(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> str | None:
+    """Return what a table is that is no recording of an inertial sensor, None if it may be one."""
+    if text is not None:
+        fewer = "a table of fewer than three columns. A recording needs the three axes of a sensor in one file."
+        return foreign_kind(text) or (fewer if len(names) < 3 else None)
+    if (
+        (arrays or not names)
+        and not any(array.ndim == 2 and array.shape[1] in (3, 6) for _, array in arrays)
+        and not triples_of(names)
+    ):
+        return f"arrays without three axes ({', '.join(names[:4])}), not a recording of an inertial sensor"
+    return None
 
 
 def _not_read(path: Path, name: str, columns: tuple[str, ...], what: str, *, missing: str = "") -> Description:
@@ -430,26 +406,26 @@ def _reference(path: Path, name: str, columns: ReferenceMap | None = None) -> De
     try:
         reference = read_reference(path, columns)
     except InputError as error:
-        body_names = error.numbers.get("names")
+        held = error.numbers.get("names")
         if error.numbers.get("missing") == "sample_rate_hz":
             return _not_read(path, name, (), str(error).removeprefix(f"{path}: "), missing="sample_rate_hz")
-        if not isinstance(body_names, tuple):
+        if not isinstance(held, tuple):
             raise
-        names = tuple(map(str, body_names))
+        names = tuple(map(str, held))
         reference = read_reference(path, labels=names[:1])
-    valid_count = int(reference.valid.sum())
-    remark = f" of each of {len(names)} bodies (choose one of {', '.join(names)})" if names else ""
-    has_reading = columns is not None or may_hold_poses(name)
-    remark += f", {reference.name.removeprefix(path.name).strip()}" if has_reading else ""
+    seen = int(reference.valid.sum())
+    more = f" of each of {len(names)} bodies (choose one of {', '.join(names)})" if names else ""
+    of_reading = columns is not None or may_hold_poses(name)
+    more += f", {reference.name.removeprefix(path.name).strip()}" if of_reading else ""
     return Description(
         path=str(path),
         kind="reference",
         format=name,
-        summary=f"{len(reference)} poses at {reference.sample_rate_hz:.6g} Hz, {valid_count} seen{remark.rstrip(', ')}",
+        summary=f"{len(reference)} poses at {reference.sample_rate_hz:.6g} Hz, {seen} seen{more.rstrip(', ')}",
         columns=names,
-        gaps=len(reference) - valid_count,
+        gaps=len(reference) - seen,
         findings=tuple(_sampling(reference.time)),
-        **_clock_entries(reference),
+        **_of_clock(reference),
     )
 
 
@@ -467,54 +443,53 @@ def _markers(path: Path, name: str, up: Up | None) -> Description:
     if markers.short_rows:
         why = "they end before the last marker, which is read as lost"
         findings.append(finding("recording.rows_left_out", "warn", count=markers.short_rows, why=why))
-    remark = f" ({', '.join(never)} never seen)" if never else ""
+    of_them = f" ({', '.join(never)} never seen)" if never else ""
     return Description(
         path=str(path),
         kind="markers",
         format=name,
-        summary=f"{len(markers.labels)} markers{remark}, {len(markers)} frames at {markers.sample_rate_hz:.6g} Hz",
+        summary=f"{len(markers.labels)} markers{of_them}, {len(markers)} frames at {markers.sample_rate_hz:.6g} Hz",
         columns=markers.labels,
         units=(("position", SI_UNIT["length"]),),
         gaps=int(gap.any(axis=1).sum()),
         findings=tuple(findings),
-        **_clock_entries(markers),
+        **_of_clock(markers),
     )
 
 
-def _clock_entries(poses: Reference | Markers) -> dict[str, Any]:
-    duration_s = float(poses.time[-1] - poses.time[0])
-    return {"rows": len(poses), "sample_rate_hz": poses.sample_rate_hz, "duration_s": duration_s}
+def _of_clock(held: Reference | Markers) -> dict[str, Any]:
+    duration_s = float(held.time[-1] - held.time[0])
+    return {"rows": len(held), "sample_rate_hz": held.sample_rate_hz, "duration_s": duration_s}
 
 
-def _session(path: Path, clock: Clock | None = None) -> Description:
-    session = read_session(path, clock=clock)
+def _session(path: Path, how: ColumnMap) -> Description:
+    session = read_session(path, clock=how.clock if how.clock == "regular" else None)
     counts = ((session.records, "recording"), (session.stills, "still"), (session.turns, "turn"))
-    listing = ", ".join(f"{len(items)} {what}{'s' * (len(items) != 1)}" for items, what in counts)
+    held = ", ".join(f"{len(items)} {what}{'s' * (len(items) != 1)}" for items, what in counts)
     return Description(
         path=str(path),
         kind="session",
         format="session",
-        summary=f"{session.kind} of {session.serial}: {listing}",
+        summary=f"{session.kind} of {session.serial}: {held}",
         session=session,
         findings=tuple(
             replace(item, values={**item.values, "recording": number})
             for number, record in enumerate(session.records)
             for item in find_symptoms(record)
         ),
-        **_describe_records(*session.records),
+        **_of_records(*session.records),
     )
 
 
-def _settings(path: Path, name: str, clock: Clock | None) -> Description:
+def _settings(path: Path, name: str, how: ColumnMap) -> Description:
     kind = "settings"
     if name == "toml":
         if path.name == "session.toml":
-            return _session(path, clock)
+            return _session(path, how)
         summary = "TOML settings, not a column map"
         with suppress(InputError):
-            columns, _ = read_map(path)
-            if columns is not None:
-                summary = f"a column map of {', '.join(columns.mapped())}"
+            if parts := read_map(path).parts():
+                summary = f"a column map of {', '.join(dict.fromkeys(chain.from_iterable(x.mapped() for x in parts)))}"
         return Description(path=str(path), kind=kind, format=name, summary=summary)
     try:
         content = json.loads(read_tree(path))

@@ -15,7 +15,7 @@ from typing import Any
 
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, first_line
-from undrift.io.columns import ReadSettings
+from undrift.io.column_map import READ_SETTINGS, ColumnMap
 
 TIMEOUT_S, SECOND_PER_MEGABYTE = 120.0, 1.0
 Channels = dict[str, tuple[Any, str]]
@@ -32,16 +32,15 @@ class Parsed:
     about: dict[str, Any] = field(default_factory=dict)  # device, frame, state
 
 
-def read_isolated(path: Path, kind: str, settings: ReadSettings | None = None, *, mapped: bool = False) -> Parsed:
+def read_isolated(path: Path, kind: str, how: ColumnMap = READ_SETTINGS) -> Parsed:
     """Parse a file with a library in a separate process."""
     path = path if path.is_dir() else checked_file(path)
     limit_s = TIMEOUT_S + SECOND_PER_MEGABYTE * path.stat().st_size / 1e6
-    sensor, drop = (None, False) if settings is None else (settings.sensor, settings.drop_bad_rows)
-    options = json.dumps({"sensor": sensor, "drop": drop, "mapped": mapped})
-    argv = [sys.executable, "-c", "from undrift.io.isolated import answer; answer()", kind, str(path), options]
+    options = json.dumps({"sensor": how.sensor, "drop": how.drop_bad_rows, "mapped": how.columns is not None})
+    words = [sys.executable, "-c", "from undrift.io.isolated import answer; answer()", kind, str(path), options]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     try:
-        done = subprocess.run(argv, env=environment, capture_output=True, timeout=limit_s, check=False)
+        done = subprocess.run(words, env=environment, capture_output=True, timeout=limit_s, check=False)
     except subprocess.TimeoutExpired as error:
         raise FileFormatError(
             f"{path}: the parser did not finish within {limit_s:.0f} s. Copy the file again."

@@ -13,33 +13,20 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
 from undrift.files import read_bytes
-from undrift.io.columns import (
-    AXES,
-    EPOCH_S,
-    QUANTITY,
-    ChannelScale,
-    ColumnMap,
-    RawTable,
-    ReadResult,
-    ReadSettings,
-    TextLayout,
-    build_record,
-    in_seconds,
-    is_date,
-    is_number,
-)
+from undrift.io.column_map import AXES, QUANTITY, ChannelScale, ColumnMap, TextLayout, map_of_channels
+from undrift.io.columns import EPOCH_S, RawTable, in_seconds, is_date, is_number
 from undrift.io.text import Text, packed, parse_text
 from undrift.units import DEVICE_UNITS, canonical_unit, si_factor
 
 _HEAD = 1 << 16
-_TIME = "(time, s)"  # the time in s, once the column is computed
+_TIME = "(time, s)"  # the column that holds the time in s once it is made
 _NUMERIC = 0.6  # of the filled cells of a row of readings
 
 
@@ -49,9 +36,9 @@ class Label(NamedTuple):
     sensor: str  # "" where the file names one sensor only
     channel: str  # time, gyro, accel, mag, temp, or "free": acceleration without gravity
     axis: str = ""  # x, y, z
-    unit: str = ""  # canonical unit; "" if unknown
+    unit: str = ""  # Canonical; "" where none is stated or known
     gain: float = 1.0  # To that unit
-    rate_hz: float | None = None  # own rate, if channels of several rates are in one table
+    rate_hz: float | None = None  # Of its own, where channels of several rates stand side by side
     time: int | None = None  # Its own time column
 
 
@@ -67,10 +54,10 @@ class Sheet:
     units: tuple[str, ...] = ()  # From the unit row, "" elsewhere
     unit_row: bool = False
     labels: tuple[Label | None, ...] = ()
-    rate_hz: float | None = None  # Hz, as given in the file
+    rate_hz: float | None = None  # Hz, as the file states it
     device: str = ""
     notes: tuple[str, ...] = ()
-    # time in s and notes from the columns ``counters``, if there is no time column
+    # Time in s and notes from the columns ``counters``, where there is no column of time
     clock: Callable[..., tuple[FloatArray, tuple[str, ...]]] | None = None
     counters: tuple[int, ...] = ()
     repair_time: bool = False  # Stamps may repeat: such rows are left out and counted
@@ -81,12 +68,12 @@ class Sheet:
 
     def stated(self, pattern: str) -> str | None:
         """Return the first group of a pattern in the preamble."""
-        match = re.search(pattern, "\n".join(self.preamble), re.IGNORECASE | re.MULTILINE)
-        return match.group(1).strip() if match else None
+        found = re.search(pattern, "\n".join(self.preamble), re.IGNORECASE | re.MULTILINE)
+        return found.group(1).strip() if found else None
 
     def columns(self, *positions: int, drop_bad_rows: bool = False) -> RawTable:
         """Parse the rows. The columns with a label contain numbers."""
-        layout = replace(self.layout, drop_bad_rows=drop_bad_rows)
+        layout = self.layout.but(drop_bad_rows=drop_bad_rows)
         head = self.rows[: 1 << 20]
         text = Text(path=self.path, content=self.rows, head=head, names=self.names, layout=layout, skip=0)
         return parse_text(text, positions)
@@ -94,11 +81,11 @@ class Sheet:
     def counted(self, table: RawTable) -> tuple[FloatArray, tuple[str, ...]]:
         """Return the time from the counters of a parsed table, s, and the notes of the clock."""
         counts = [table.numbers(k) for k in self.counters]
-        for k, counter in zip(self.counters, counts, strict=True):
-            if not np.isfinite(counter).all():
+        for k, held in zip(self.counters, counts, strict=True):
+            if not np.isfinite(held).all():
                 raise FileFormatError(
                     f"{self.path}: column {self.names[k]!r}: expected a count in every row, got none in data row "
-                    f"{int(np.isfinite(counter).argmin()) + 1}. Repair the file."
+                    f"{int(np.isfinite(held).argmin()) + 1}. Repair the file."
                 )
         return (np.empty(0), ()) if self.clock is None else self.clock(*counts)
 
@@ -247,7 +234,7 @@ _AXIS = (
     re.compile(r"(?<=[a-z])([XYZ])(?![A-Za-z])"),
     re.compile(r"(?i)^(?:a|w|g|gF|b|m|acc|accel|gyr|gyro|mag)_?([xyz])$"),
 )
-_WORDS = re.compile(  # words in names that do not distinguish sensors
+_WORDS = re.compile(  # of a name that do not tell sensors apart
     r"(?i)^(acc\w*|gyr\w*|mag\w*|sensor|angular|velocity|rate|magnetic|field|un|cal|raw|noraxon|myomotion|segments|[agwm]|gf|"
     r"temp\w*|turn|rotation|specific|force|total|uncalibrated|imu)$"
 )
@@ -272,11 +259,11 @@ def is_unit(text: str) -> bool:
 
 def split_unit(name: str) -> tuple[str, str]:
     """Return a column's name without its unit, and the unit: "A_X [mg]", "Time (s)", "Accel X,mG", "Time in ms", "acc_x_g"."""
-    match = re.fullmatch(r"(.*?)[\s_]*[\[(]([^\[\]()]*(?:\([^()]*\))?)[\])]\s*", name) or re.fullmatch(
+    found = re.fullmatch(r"(.*?)[\s_]*[\[(]([^\[\]()]*(?:\([^()]*\))?)[\])]\s*", name) or re.fullmatch(
         r"(.+?)(?:,| in (?=[mu]?s *$))\s*(\S*)\s*", name
     )
-    if match and (is_unit(match.group(2)) or not re.search(r"\d\]$", name)):
-        return match.group(1), match.group(2)
+    if found and (is_unit(found.group(2)) or not re.search(r"\d\]$", name)):
+        return found.group(1), found.group(2)
     suffix = _SUFFIX.search(name)
     if suffix and any(pattern.search(name) for _, pattern in _KIND):
         return name[: suffix.start()], _NATIVE[suffix.group(1).lower()]
@@ -285,8 +272,8 @@ def split_unit(name: str) -> tuple[str, str]:
 
 def label_of(name: str, unit: str = "", assumed: Mapping[str, str] | None = None) -> Label | None:
     """Return the content of a column from its name and unit. The units ``assumed`` come from a maker's manual."""
-    base, name_unit = split_unit(name)
-    unit, axis, stem = unit or name_unit, "", base
+    base, own = split_unit(name)
+    unit, axis, stem = unit or own, "", base
     for pattern in _AXIS:
         if hits := list(pattern.finditer(base)):
             at = hits[-1]
@@ -302,27 +289,25 @@ def label_of(name: str, unit: str = "", assumed: Mapping[str, str] | None = None
         channel = "temp"  # "T" in degC
     if channel is None or (not axis and channel not in ("time", "temp")):
         return None
-    scaled_unit = unit_for(unit or (assumed or {}).get(channel, ""), channel)
-    if unit and scaled_unit is None and channel in ("gyro", "accel") and is_unit(unit):
+    known = unit_for(unit or (assumed or {}).get(channel, ""), channel)
+    if unit and known is None and channel in ("gyro", "accel") and is_unit(unit):
         return None  # the unit contradicts the name
     tokens = re.split(r"[\W_]+", stem) if channel not in ("time", "free") else []
     kind = dict(_KIND)[channel]
     tokens = [token for token in tokens if token and not _WORDS.match(token) and not kind.search(token)]
-    if scaled_unit and scaled_unit[0] in DEVICE_UNITS and channel in ("mag", "temp"):
-        scaled_unit = None  # they need a scale, which only a map can give
-    return Label(
-        " ".join(tokens), channel, axis if channel not in ("time", "temp") else "", *(scaled_unit or ("", 1.0))
-    )
+    if known and known[0] in DEVICE_UNITS and channel in ("mag", "temp"):
+        known = None  # they need a scale, which only a map states
+    return Label(" ".join(tokens), channel, axis if channel not in ("time", "temp") else "", *(known or ("", 1.0)))
 
 
 def labelled(sheet: Sheet, assumed: Mapping[str, str] | None = None, *, whole_names: bool = False) -> Sheet:
     """Return the sheet with a label for each column, sensors named by what their names do not share, or by whole names."""
-    read_labels = [label_of(name, unit, assumed) for name, unit in zip(sheet.names, sheet.units, strict=True)]
-    sensor_words = [set(label.sensor.split()) for label in read_labels if label and label.axis]
-    shared = set.intersection(*sensor_words) if sensor_words and not whole_names else set()
+    held = [label_of(name, unit, assumed) for name, unit in zip(sheet.names, sheet.units, strict=True)]
+    words = [set(label.sensor.split()) for label in held if label and label.axis]
+    shared = set.intersection(*words) if words and not whole_names else set()
     labels = tuple(
         label and label._replace(sensor=" ".join(word for word in label.sensor.split() if word not in shared))
-        for label in read_labels
+        for label in held
     )
     clocks = [k for k, label in enumerate(labels) if label and label.channel == "time"]
     first = _cells(sheet.rows.split(b"\n", 1)[0].decode("utf-8", "replace"), sheet.layout.delimiter)
@@ -336,10 +321,10 @@ def labelled(sheet: Sheet, assumed: Mapping[str, str] | None = None, *, whole_na
 
 def with_manual(sheet: Sheet, maker: str, assumed: Mapping[str, str], *, whole_names: bool = False) -> Sheet:
     """Return the sheet with labels whose units come from a maker's manual, and a note of those that it supplied."""
-    labelled_channels = {label.channel for label in labelled(sheet).labels if label and label.unit}
+    stated = {label.channel for label in labelled(sheet).labels if label and label.unit}
     sheet = labelled(sheet, assumed, whole_names=whole_names)
-    assumed_channels = {label.channel for label in sheet.labels if label and label.unit} - labelled_channels
-    units = ", ".join(f"{channel} {unit}" for channel, unit in assumed.items() if channel in assumed_channels)
+    held = {label.channel for label in sheet.labels if label and label.unit} - stated
+    units = ", ".join(f"{channel} {unit}" for channel, unit in assumed.items() if channel in held)
     note = (f"units by the manual of {maker}, not in the file: {units}",) if units else ()
     return replace(sheet, notes=(*sheet.notes, *note))
 
@@ -351,54 +336,88 @@ Triples = dict[str, dict[str, tuple[int, ...]]]  # channel, sensor: the columns 
 
 def triples_of(sheet: Sheet, channels: tuple[str, ...] = ("gyro", "accel", "mag")) -> Triples:
     """Return the three axes of each channel and sensor. Physical units are preferred to counts."""
-    triples: Triples = {}
+    found: Triples = {}
     for channel in channels:
         groups: dict[tuple[str, str, float], dict[str, int]] = {}
         for k, label in enumerate(sheet.labels):
             if label and label.channel == channel and label.unit:
                 groups.setdefault((label.sensor, label.unit, label.gain), {}).setdefault(label.axis, k)
         for (sensor, unit, _), axes in groups.items():
-            sensors = triples.setdefault(channel, {})
-            if len(axes) == 3 and (sensor not in sensors or unit != "count"):
-                sensors[sensor] = tuple(axes[axis] for axis in AXES)
-    return {channel: sensors for channel, sensors in triples.items() if sensors}
+            held = found.setdefault(channel, {})
+            if len(axes) == 3 and (sensor not in held or unit != "count"):
+                held[sensor] = tuple(axes[axis] for axis in AXES)
+    return {channel: held for channel, held in found.items() if held}
 
 
-def read_sheet(sheet: Sheet, settings: ReadSettings) -> ReadResult:
-    """Return the record of one sensor of a labelled sheet, with notes on the reading."""
+def sheet_table(sheet: Sheet, how: ColumnMap) -> RawTable:
+    """Return the columns of one sensor of a labelled sheet, with the map that its labels state and notes on the reading."""
     triples = triples_of(sheet)
     _check_readings(sheet, triples)
-    chosen = _choose_sensor(sheet, triples, settings.sensor)
-    temp = _temperature(sheet, settings.sensor)
-    used = [sheet.labels[k] for columns in chosen.values() for k in columns]
-    rates = {label.rate_hz for label in used if label}
+    chosen = _chosen(sheet, triples, how.sensor)
+    labels = [label for columns in chosen.values() for k in columns if (label := sheet.labels[k])]
+    rates = {label.rate_hz for label in labels}
     if len(rates) > 1:
         listed = ", ".join(f"{rate:g} Hz" for rate in sorted(rate for rate in rates if rate))
         raise InputError(
             f"{sheet.path}: expected one sample rate in one sensor, got {listed}. Export each rate to its own file."
         )
-    positions = [k for columns in chosen.values() for k in columns] + ([] if temp is None else [temp])
-    time, parsed, clocked, epoch_s = _time(sheet, used[0], settings, positions)
-    rate = settings.sample_rate_hz or sheet.rate_hz or next(iter(rates))
-    if time is None and rate is None:
+    temp = _temperature(sheet, how.sensor)
+    columns = chosen if temp is None else chosen | {"temp": (temp,)}
+    stated = next((k for k, label in enumerate(sheet.labels) if label and label.channel == "time" and label.unit), None)
+    clock = labels[0].time if labels[0].time is not None else stated
+    table, time = _timed(sheet, [k for held in columns.values() for k in held], clock, how)
+    stated_hz = how.sample_rate_hz or sheet.rate_hz
+    if time is None and (stated_hz := stated_hz or labels[0].rate_hz) is None:
         raise InputError(
             f"{sheet.path}: there is no time column and no sample rate. Set `sample_rate_hz`, or use a map "
             "(`column_map` FILE).",
             missing="sample_rate_hz",
         )
-    table, trimmed = _trimmed(parsed, time, chosen) if None not in rates else (_timed(parsed, time), ())
-    columns = ColumnMap(
-        time=None if time is None else _TIME,
-        time_unit="s",
-        sample_rate_hz=rate if time is None else settings.sample_rate_hz or sheet.rate_hz,
-        temp=temp,
-        gaps=settings.gaps or "raise",
-        repair_time=settings.repair_time or sheet.repair_time,
-        device=sheet.device or next((label.sensor for label in used if label and label.sensor), ""),
-        **_channels(sheet, chosen, temp),
+    table, trimmed = (table, ()) if None in rates else _trimmed(table, chosen)
+    firsts = {channel: label for channel, held in columns.items() if (label := sheet.labels[held[0]])}
+    own = map_of_channels(
+        {**chosen, "temp": temp, "time": None if time is None else _TIME},
+        {"time": "s"} | {channel: label.unit for channel, label in firsts.items()},
+        scale={channel: ChannelScale(gain=label.gain) for channel, label in firsts.items() if label.gain != 1.0},
+        sample_rate_hz=stated_hz,
+        gaps=how.gaps,
+        clock=how.clock,
+        repair_time=how.repair_time or sheet.repair_time,
+        device=sheet.device or next((label.sensor for label in labels if label.sensor), ""),
     )
-    notes = (*sheet.notes, *clocked, *_notes(sheet, triples), *trimmed)
-    return replace(build_record(table, columns), notes=notes, epoch_s=epoch_s)
+    return replace(table, own=own, notes=(*sheet.notes, *table.notes, *_notes(sheet, triples), *trimmed))
+
+
+def _timed(sheet: Sheet, positions: list[int], clock: int | None, how: ColumnMap) -> tuple[RawTable, FloatArray | None]:
+    """Return the parsed columns with a column of time, and the time, s: by counters, by dates, or by a column of numbers."""
+    label = None if clock is None else sheet.labels[clock]
+    dated = label is not None and label.unit == "date"
+    counts = sheet.counters if sheet.clock else () if clock is None or dated else (clock,)
+    table = sheet.columns(*positions, *counts, drop_bad_rows=how.drop_bad_rows)
+    notes, epoch_s = tuple[str, ...](), 0.0
+    if sheet.clock is not None:
+        time, notes = sheet.counted(table)
+    elif clock is None or label is None:
+        return table, None
+    else:
+        factor = si_factor(label.unit, "time")
+        cells = (in_seconds(table, clock) if dated else table).numbers(clock)
+        first = float(cells[0]) if len(cells) and cells[0] * factor > EPOCH_S else 0.0
+        time, epoch_s = (cells - first) * factor, first * factor
+    names, columns = (*table.names, _TIME), (*table.columns, time)
+    return replace(table, names=names, columns=columns, notes=notes, epoch_s=epoch_s), time
+
+
+def _trimmed(table: RawTable, chosen: Mapping[str, tuple[int, ...]]) -> tuple[RawTable, tuple[str, ...]]:
+    """Cut the rows that a slower channel does not fill, and the zeros with which it starts."""
+    values = np.stack([table.numbers(k) for columns in chosen.values() for k in columns], axis=1)
+    filled = np.isfinite(values).any(axis=1)
+    live = np.flatnonzero(filled & (values != 0.0).any(axis=1))
+    if not len(live):
+        return table, ()
+    cut = slice(int(live[0]), int(np.flatnonzero(filled)[-1]) + 1)
+    notes = (f"{cut.start} rows of zeros at the start left out",) if cut.start else ()
+    return replace(table, columns=tuple(column[cut] for column in table.columns)), notes
 
 
 def _check_readings(sheet: Sheet, triples: Triples) -> None:
@@ -413,23 +432,23 @@ def _check_readings(sheet: Sheet, triples: Triples) -> None:
             missing="readings",
             gravity_removed=True,
         )
-    listing = ", ".join(repr(name) for name in sheet.names[:8] if name)
+    held = ", ".join(repr(name) for name in sheet.names[:8] if name)
     raise FileFormatError(
-        f"{sheet.path}: expected gyroscope or accelerometer columns x, y, z with a unit, got {listing}. Export them, "
+        f"{sheet.path}: expected gyroscope or accelerometer columns x, y, z with a unit, got {held}. Export them, "
         f"or use a map "
         "(`column_map` FILE).",
         missing="readings",
     )
 
 
-def _choose_sensor(sheet: Sheet, triples: Triples, sensor: str | None) -> dict[str, tuple[int, ...]]:
-    sensors = [sensor for channel in ("accel", "gyro") for sensor in triples.get(channel, {}) if sensor]
-    names = tuple(dict.fromkeys(sensors))
-    several = any(len(by_sensor) > 1 for channel, by_sensor in triples.items() if channel != "mag")
+def _chosen(sheet: Sheet, triples: Triples, sensor: str | None) -> dict[str, tuple[int, ...]]:
+    named = [sensor for channel in ("accel", "gyro") for sensor in triples.get(channel, {}) if sensor]
+    names = tuple(dict.fromkeys(named))
+    several = any(len(held) > 1 for channel, held in triples.items() if channel != "mag")
     same = [name for name in names if sensor is not None and name.lower() == sensor.lower()]
-    partial_matches = [name for name in names if sensor is not None and sensor.lower() in name.lower()]
-    # with that name, or the only one whose name contains it
-    wanted = same[0] if same else partial_matches[0] if len(partial_matches) == 1 else None
+    part = [name for name in names if sensor is not None and sensor.lower() in name.lower()]
+    # of that name, or the only one whose name holds it
+    wanted = same[0] if same else part[0] if len(part) == 1 else None
     if wanted is None and names and (several or sensor is not None):
         got = "none" if sensor is None else repr(sensor)
         raise InputError(
@@ -440,76 +459,23 @@ def _choose_sensor(sheet: Sheet, triples: Triples, sensor: str | None) -> dict[s
         )
     chosen: dict[str, tuple[int, ...]] = {}
     for channel, by_sensor in triples.items():
-        key = next(iter(by_sensor)) if wanted is None else wanted if wanted in by_sensor else ""
-        if key in by_sensor and (channel != "mag" or len(by_sensor) == 1 or wanted is not None):
-            chosen[channel] = by_sensor[key]
+        if wanted is not None:
+            columns = by_sensor.get(wanted) or by_sensor.get("")
+        elif channel == "mag" and len(by_sensor) > 1:
+            columns = None  # which magnetometer goes with the sensor is not known
+        else:
+            columns = next(iter(by_sensor.values()))
+        if columns is not None:
+            chosen[channel] = columns
     return chosen
 
 
 def _temperature(sheet: Sheet, sensor: str | None) -> int | None:
-    thermometers = [
+    held = [
         (label.sensor, k) for k, label in enumerate(sheet.labels) if label and label.channel == "temp" and label.unit
     ]
-    mine = [k for name, k in thermometers if sensor is not None and name.lower() == sensor.lower()]
-    return mine[0] if mine else thermometers[0][1] if len(thermometers) == 1 else None
-
-
-def _time(
-    sheet: Sheet, first: Label | None, settings: ReadSettings, positions: list[int]
-) -> tuple[FloatArray | None, RawTable, tuple[str, ...], float]:
-    """Return the time in s, the parsed columns, the notes of the clock, and the Unix time that was taken off, s."""
-    sensor_clock = first.time if first else None
-    common_clock = next((k for k, x in enumerate(sheet.labels) if x and x.channel == "time" and x.unit), None)
-    at = sensor_clock if sensor_clock is not None else common_clock
-    bare = at is None or ((label := sheet.labels[at]) is not None and label.unit == "date")  # dates are not numbers
-    extra_columns = sheet.counters if sheet.clock else () if bare or at is None else (at,)
-    table = sheet.columns(*positions, *extra_columns, drop_bad_rows=settings.drop_bad_rows)
-    if sheet.clock is not None:
-        time, notes = sheet.counted(table)
-        return time, table, notes, 0.0
-    if at is None:
-        return None, table, (), 0.0
-    label = sheet.labels[at]
-    dated = label is not None and label.unit == "date"
-    factor = si_factor(label.unit, "time") if label else 1.0
-    cells = (in_seconds(table, at) if dated else table).numbers(at)
-    first_cell = float(cells[0]) if len(cells) and cells[0] * factor > EPOCH_S else 0.0
-    return (cells - first_cell) * factor, table, (), first_cell * factor
-
-
-def _timed(table: RawTable, time: FloatArray | None) -> RawTable:
-    if time is None:
-        return table
-    return replace(table, names=(*table.names, _TIME), columns=(*table.columns, time))
-
-
-def _trimmed(
-    table: RawTable, time: FloatArray | None, chosen: Mapping[str, tuple[int, ...]]
-) -> tuple[RawTable, tuple[str, ...]]:
-    """Cut the rows that a slower channel does not fill, and the zeros with which it starts."""
-    wanted = {k for columns in chosen.values() for k in columns}
-    values = np.stack([table.numbers(k) for k in sorted(wanted)], axis=1)
-    filled = np.flatnonzero(np.isfinite(values).any(axis=1))
-    live = np.flatnonzero(np.isfinite(values).any(axis=1) & (values != 0.0).any(axis=1))
-    if not len(live):
-        return _timed(table, time), ()
-    cut = slice(int(live[0]), int(filled[-1]) + 1)
-    notes = (f"{cut.start} rows of zeros at the start left out",) if cut.start else ()
-    shorter = replace(table, columns=tuple(column[cut] for column in table.columns))
-    return _timed(shorter, None if time is None else time[cut]), notes
-
-
-def _channels(sheet: Sheet, chosen: Mapping[str, tuple[int, ...]], temp: int | None) -> dict[str, Any]:
-    keys: dict[str, Any] = {}
-    for channel, columns in (*chosen.items(), *(() if temp is None else (("temp", (temp,)),))):
-        label = sheet.labels[columns[0]]
-        if label is not None:
-            keys[f"{channel}_unit"] = label.unit
-            if label.gain != 1.0:
-                keys[f"{channel}_scale"] = ChannelScale(gain=label.gain)
-        if channel != "temp":
-            keys[channel] = columns
-    return keys
+    mine = [k for name, k in held if sensor is not None and name.lower() == sensor.lower()]
+    return mine[0] if mine else held[0][1] if len(held) == 1 else None
 
 
 def _notes(sheet: Sheet, triples: Triples) -> tuple[str, ...]:
@@ -523,8 +489,8 @@ def _notes(sheet: Sheet, triples: Triples) -> tuple[str, ...]:
     if free:
         notes.append(f"{free!r} left out: gravity is removed in it")
     for channel, what in (("gyro", "turn rate"), ("accel", "acceleration"), ("mag", "magnetic field")):
-        labels = zip(sheet.names, sheet.labels, strict=True)
-        bare = next((name for name, x in labels if x and x.channel == channel and not x.unit), None)
+        held = zip(sheet.names, sheet.labels, strict=True)
+        bare = next((name for name, x in held if x and x.channel == channel and not x.unit), None)
         axes = {x.axis for x in sheet.labels if x and x.channel == channel and x.unit}
         if axes and channel not in triples:
             notes.append(f"{what} left out: it has axes {', '.join(sorted(axes))} alone")
@@ -547,11 +513,11 @@ def is_labelled(path: Path, head: bytes) -> bool:
 def states_units(sheet: Sheet) -> bool:
     """Return True if labels contain a unit for a gyroscope or an accelerometer, and for the time column, if any."""
     clocks = [label for label in sheet.labels if label and label.channel == "time"]
-    triples = triples_of(sheet, ("gyro", "accel", "free"))
+    held = triples_of(sheet, ("gyro", "accel", "free"))
     bare = {label.channel for label in sheet.labels if label and not label.unit and label.channel in ("gyro", "accel")}
-    return bool(triples) and bare <= triples.keys() and (not clocks or any(clock.unit for clock in clocks))
+    return bool(held) and bare <= held.keys() and (not clocks or any(clock.unit for clock in clocks))
 
 
-def read_labelled(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadResult:
+def read_labelled(path: Path, how: ColumnMap) -> RawTable:
     """Read a table whose names or unit row state every unit."""
-    return read_sheet(labelled(open_sheet(path)), settings)
+    return sheet_table(labelled(open_sheet(path)), how)

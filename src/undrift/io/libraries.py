@@ -1,11 +1,11 @@
 """Recordings read with maintained libraries (extra ``formats``). The library runs in a separate process and its result
 becomes a Record.
 
-XDF (pyxdf)           clocks synchronised with the file's clock offsets, time stamps as recorded, not de-jittered
-ROS (rosbags)         sensor_msgs/Imu by header.stamp, SI units (REP 103, REP 145), covariance[0] = -1 marks an absent channel
-ULog (pyulog)         sensor_gyro and sensor_accel are uncorrected; sensor_combined was corrected by the autopilot
-NilsPod (nilspodlib)  factory scale applied, gaps of the counter stay gaps in time
-Axivity, GENEActiv, ActiGraph (actfast)  g, deg/s, degC, local time without a zone, counted from the first sample
+XDF (pyxdf)           clocks synchronised with the file's clock offsets, time stamps as recorded, not de-jittered ROS
+(rosbags)         sensor_msgs/Imu by header.stamp, SI units (REP 103, REP 145), covariance[0] = -1 marks an absent
+channel ULog (pyulog)         sensor_gyro and sensor_accel are uncorrected; sensor_combined was corrected by the
+autopilot NilsPod (nilspodlib)  factory scale applied, gaps of the counter stay gaps in time Axivity, GENEActiv,
+ActiGraph (actfast)  g, deg/s, degC, local time without a zone, counted from the first sample
 """
 
 import contextlib
@@ -27,24 +27,24 @@ from undrift.errors import FileFormatError, InputError
 from undrift.files import first_line, read_bytes
 from undrift.io.arrays import parse_mat
 from undrift.io.clock import onto_clock
-from undrift.io.columns import QUANTITY, ColumnMap, RawTable, ReadResult, ReadSettings, build, build_record, chosen
+from undrift.io.column_map import QUANTITY, ColumnMap
+from undrift.io.columns import RawTable, of_channels
 from undrift.io.isolated import Channels, Parsed, library, read_isolated
 from undrift.io.mocap import parse_c3d
 from undrift.units import canonical_unit
 
 
-def reader(kind: str) -> Callable[[Path, ColumnMap | None, ReadSettings], ReadResult]:
+def reader(kind: str) -> Callable[[Path, ColumnMap], RawTable]:
     """Return the reader of a kind of file. For XDF, a map reads the channels of the stream by their labels."""
 
-    def read(path: Path, columns: ColumnMap | None, settings: ReadSettings) -> ReadResult:
-        parsed = read_isolated(path, kind, settings, mapped=columns is not None)
-        if columns is not None and parsed.table:
-            table = RawTable(source=str(path), names=tuple(parsed.table), columns=tuple(parsed.table.values()))
-            return replace(build_record(table, columns), notes=tuple(parsed.notes))
-        lost, keeps_gaps = parsed.about.pop("lost", 0), parsed.about.pop("gaps", False)
-        settings = replace(settings, gaps=settings.gaps or ("keep" if keeps_gaps else None))
-        result = build(path, parsed.time, parsed.channels, settings, parsed.notes, **parsed.about)
-        return replace(result, dropped_rows=result.dropped_rows + lost)
+    def read(path: Path, how: ColumnMap) -> RawTable:
+        found = read_isolated(path, kind, how)
+        if found.table:
+            columns = tuple(found.table.values())
+            return RawTable(source=str(path), names=tuple(found.table), columns=columns, notes=tuple(found.notes))
+        lost = found.about.pop("lost", 0)
+        table = of_channels(path, found.time, found.channels, how, notes=found.notes, **found.about)
+        return replace(table, dropped=lost)
 
     return read
 
@@ -58,6 +58,25 @@ def is_nilspod(head: bytes) -> bool:
 
 
 # ---- in a process of its own
+
+
+def chosen(path: Path, kind: str, names: tuple[str, ...], sensor: str | None) -> str:
+    """Return the item that `sensor` names, by its whole name or a unique ending. Without `sensor`, return the only
+    item.
+    """
+    if not names:
+        raise FileFormatError(f"{path}: expected a {kind} with readings, got none. The file contains no recording.")
+    hits = names if sensor is None else [name for name in names if name == sensor]
+    hits = hits or [name for name in names if name.endswith(f".{sensor}")]
+    if len(hits) == 1:
+        return hits[0]
+    wanted = f"the name of one {kind}" if sensor is None else f"{kind} {sensor!r}"
+    raise InputError(
+        f"{path}: expected {wanted}, got a file with {', '.join(names)}. Name one of them (`sensor`).",
+        missing="sensor",
+        names=names,
+    )
+
 
 _CHANNEL = {"gyro": r"gyr|angular.?(rate|vel)|^w$", "accel": r"acc", "mag": r"mag", "temp": r"temp"}
 
@@ -76,19 +95,19 @@ def _xdf(path: Path, sensor: str | None, mapped: bool, **_: Any) -> Parsed:
     if lines:
         raise ValueError(lines[0].splitlines()[0])
     names = [stream["info"]["name"][0] or "unnamed" for stream in streams]
-    by_name = {
+    named = {
         name if names.count(name) == 1 else f"{name}#{stream['info']['stream_id']}": stream
         for name, stream in zip(names, streams, strict=True)
     }
-    full = {n: s for n, s in by_name.items() if isinstance(s["time_series"], np.ndarray) and len(s["time_stamps"])}
-    if sensor in by_name and sensor not in full:
+    full = {n: s for n, s in named.items() if isinstance(s["time_series"], np.ndarray) and len(s["time_stamps"])}
+    if sensor in named and sensor not in full:
         raise InputError(
             f"expected a stream of readings, got text or no samples in {sensor!r}. Choose another stream with `sensor`."
         )
     name = chosen(path, "stream", tuple(full), sensor)
     info, values = full[name]["info"], np.asarray(full[name]["time_series"], dtype=np.float64)
-    listed = [entry for desc in info["desc"] or [] if desc for entry in desc.get("channels", []) if entry]
-    described = [channel for entry in listed for channel in entry.get("channel", [])]
+    listed = [held for desc in info["desc"] or [] if desc for held in desc.get("channels", []) if held]
+    described = [channel for held in listed for channel in held.get("channel", [])]
     described = described if len(described) == values.shape[1] else [{}] * values.shape[1]
     label, kind, unit = ([(c.get(key) or [""])[0] or "" for c in described] for key in ("label", "type", "unit"))
     labels = [text or str(k) for k, text in enumerate(label)]
@@ -96,22 +115,22 @@ def _xdf(path: Path, sensor: str | None, mapped: bool, **_: Any) -> Parsed:
     note = f"stream {name}: clocks synchronised, time stamps as recorded (not de-jittered), nominal rate {rate_hz:g} Hz"
     if mapped:
         return Parsed(table=dict(zip((*labels, "time_s"), (*values.T, time), strict=True)), notes=[note])
-    channels: Channels = {}
+    found: Channels = {}
     for channel, pattern in _CHANNEL.items():
-        columns = [k for k in range(len(labels)) if re.search(pattern, f"{label[k]} {kind[k]}", re.IGNORECASE)]
-        if len(columns) == (1 if channel == "temp" else 3) and all(unit[k] == unit[columns[0]] != "" for k in columns):
+        at_ = [k for k in range(len(labels)) if re.search(pattern, f"{label[k]} {kind[k]}", re.IGNORECASE)]
+        if len(at_) == (1 if channel == "temp" else 3) and all(unit[k] == unit[at_[0]] != "" for k in at_):
             with contextlib.suppress(InputError):  # a unit that is not one: a map must state it
-                unit_name = canonical_unit(unit[columns[0]], QUANTITY[channel])  # type: ignore[index]
-                channels[channel] = (values[:, columns[0]] if channel == "temp" else values[:, columns], unit_name)
-    if not channels.keys() & {"gyro", "accel"}:
-        listing = ", ".join(f"{a}{f' ({b})' if b else ''}" for a, b in zip(labels, unit, strict=True))
+                stated = canonical_unit(unit[at_[0]], QUANTITY[channel])  # type: ignore[index]
+                found[channel] = (values[:, at_[0]] if channel == "temp" else values[:, at_], stated)
+    if not found.keys() & {"gyro", "accel"}:
+        shown = ", ".join(f"{a}{f' ({b})' if b else ''}" for a, b in zip(labels, unit, strict=True))
         raise InputError(
-            f"expected channels of {name} labelled as accelerometer or gyroscope with units, got {listing}. Name them in a "
+            f"expected channels of {name} labelled as accelerometer or gyroscope with units, got {shown}. Name them in a "
             'map (`column_map`), for example columns = { time = "time_s", gyro = [0, 1, 2] }, units = { time = "s", gyro = "dps" }',
             missing="columns",
-            example=('columns = { time = "time_s", gyro = [0, 1, 2] }', 'units = { time = "s", gyro = "?" }'),
+            proposal={"columns": {"time": "time_s", "gyro": [0, 1, 2]}, "units": {"time": "s", "gyro": "?"}},
         )
-    return Parsed(time=time, channels=channels, notes=[note], about={"device": name})
+    return Parsed(time=time, channels=found, notes=[note], about={"device": name})
 
 
 _IMU, _TEMPERATURE = "sensor_msgs/msg/Imu", "sensor_msgs/msg/Temperature"
@@ -130,33 +149,31 @@ def _ros(path: Path, sensor: str | None, drop: bool, **_: Any) -> Parsed:
         topics = sorted({c.topic for c in bag.connections if c.msgtype == _IMU and c.msgcount})
         topic = chosen(path, "topic", tuple(topics), sensor)
         rows = list(messages(topic, _IMU))
-        message_count = sum(c.msgcount for c in bag.connections if c.topic == topic and c.msgtype == _IMU)
-        if len(rows) < message_count and not drop:
+        stated = sum(c.msgcount for c in bag.connections if c.topic == topic and c.msgtype == _IMU)
+        if len(rows) < stated and not drop:
             raise ValueError(
-                f"{len(rows)} of {message_count} messages are present. Set drop_bad_rows = true in a map to read them."
+                f"{len(rows)} of {stated} messages are present. Set drop_bad_rows = true in a map to read them."
             )
         parent = topic.rpartition("/")[0]
         near = {c.topic for c in bag.connections if c.msgtype == _TEMPERATURE and c.topic.rpartition("/")[0] == parent}
         slow = sorted((s, m.temperature) for t in near if len(near) == 1 for s, m in messages(t, _TEMPERATURE))
     stamps, frame = np.array([stamp for stamp, _ in rows], dtype=np.int64), str(rows[0][1].header.frame_id)
-    parsed = Parsed(
-        time=(stamps - stamps[0]) * 1e-9, about={"device": frame, "lost": max(0, message_count - len(rows))}
-    )
+    found = Parsed(time=(stamps - stamps[0]) * 1e-9, about={"device": frame, "lost": max(0, stated - len(rows))})
     how = f"topic {topic}, frame {frame or 'not stated'}, time by header.stamp, units as ROS defines them (rad/s, m/s2)"
-    parsed.notes = [how, f"time 0 is {stamps[0] * 1e-9:.6f} s of the stamps"]
+    found.notes = [how, f"time 0 is {stamps[0] * 1e-9:.6f} s of the stamps"]
     for channel, name, unit in (("gyro", "angular_velocity", "rad/s"), ("accel", "linear_acceleration", "m/s2")):
         if all(getattr(row, f"{name}_covariance")[0] == -1.0 for _, row in rows):
-            parsed.notes.append(f"{channel} left out: its covariance marks it as not available (-1)")
+            found.notes.append(f"{channel} left out: its covariance marks it as not available (-1)")
         else:
             vectors = [getattr(row, name) for _, row in rows]
-            parsed.channels[channel] = (np.array([(v.x, v.y, v.z) for v in vectors]), unit)
-    if not parsed.channels:
+            found.channels[channel] = (np.array([(v.x, v.y, v.z) for v in vectors]), unit)
+    if not found.channels:
         raise InputError(f"{path}: expected readings in {topic}, got none (covariance -1). Name another topic.")
     if slow:
         clock = (np.array([stamp for stamp, _ in slow], dtype=np.int64) - stamps[0]) * 1e-9
-        parsed.channels["temp"] = (np.interp(parsed.time, clock, [temp_c for _, temp_c in slow]), "degC")
-        parsed.notes.append(f"temperature of {min(near)}, interpolated")
-    return parsed
+        found.channels["temp"] = (np.interp(found.time, clock, [temp_c for _, temp_c in slow]), "degC")
+        found.notes.append(f"temperature of {min(near)}, interpolated")
+    return found
 
 
 _TOPICS = ["sensor_combined", "sensor_gyro", "sensor_accel", "sensor_selection"]
@@ -170,7 +187,7 @@ def _ulog(path: Path, sensor: str | None, drop: bool, **_: Any) -> Parsed:
             at = len(content)  # appended data has a place of its own
             break
         at += 3 + size
-    with contextlib.redirect_stdout(io.StringIO()):  # the library prints its errors
+    with contextlib.redirect_stdout(io.StringIO()):  # the library prints what it finds wrong
         log = library("pyulog").ULog(io.BytesIO(content), _TOPICS)
     if (at != len(content) or log.file_corruption) and not drop:
         raise ValueError("messages are truncated or damaged. Set drop_bad_rows = true in a map to read the rest.")
@@ -183,46 +200,46 @@ def _ulog(path: Path, sensor: str | None, drop: bool, **_: Any) -> Parsed:
         """Return the time of sampling since boot, or of logging if the log does not have it, s."""
         return np.asarray(data.get("timestamp_sample", data["timestamp"]), dtype=np.float64) * 1e-6
 
-    parsed = Parsed(notes=["axes forward, right, down: z reads -9.8 m/s2 level and at rest"])
+    found = Parsed(notes=["axes forward, right, down: z reads -9.8 m/s2 level and at rest"])
     if sensor == "sensor_combined":
         data = topics["sensor_combined", 0]
-        parsed.time = np.asarray(data["timestamp"], dtype=np.float64) * 1e-6
-        parsed.notes.append("already corrected by the autopilot (board rotation, CAL_ parameters): frame b")
+        found.time = np.asarray(data["timestamp"], dtype=np.float64) * 1e-6
+        found.notes.append("already corrected by the autopilot (board rotation, CAL_ parameters): frame b")
         for channel, name, unit in (("gyro", "gyro_rad", "rad/s"), ("accel", "accelerometer_m_s2", "m/s2")):
-            parsed.channels[channel] = (np.stack([data[f"{name}[{k}]"] for k in range(3)], axis=1), unit)
+            found.channels[channel] = (np.stack([data[f"{name}[{k}]"] for k in range(3)], axis=1), unit)
         ids = {int(k) for (name, _), d in topics.items() if name == "sensor_selection" for k in d["gyro_device_id"]}
         gyros = {n: d for (name, n), d in topics.items() if name == "sensor_gyro" and "temperature" in d}
-        matches = [n for n, d in gyros.items() if {int(k) for k in d.get("device_id", ())} == ids]
-        if len(matches) == 1 and np.isfinite((slow := gyros[matches[0]])["temperature"]).all():
-            parsed.channels["temp"] = (np.interp(parsed.time, clock(slow), slow["temperature"]), "degC")
-            parsed.notes.append(f"temperature of sensor_gyro {matches[0]}, which the autopilot chose, interpolated")
-        parsed.about = {"device": hardware, "frame": "b", "state": "corrected"}
-        return parsed
+        own = [n for n, d in gyros.items() if {int(k) for k in d.get("device_id", ())} == ids]
+        if len(own) == 1 and np.isfinite((slow := gyros[own[0]])["temperature"]).all():
+            found.channels["temp"] = (np.interp(found.time, clock(slow), slow["temperature"]), "degC")
+            found.notes.append(f"temperature of sensor_gyro {own[0]}, which the autopilot chose, interpolated")
+        found.about = {"device": hardware, "frame": "b", "state": "corrected"}
+        return found
     both = {name: topics.get((f"sensor_{name}", int(sensor))) for name in ("gyro", "accel")}
     main = both["gyro"] or both["accel"] or {}
-    parsed.time = clock(main)
-    parsed.notes.append("sensor's own readings, before the autopilot's CAL_ parameters (PX4 v1.11 and later)")
+    found.time = clock(main)
+    found.notes.append("sensor's own readings, before the autopilot's CAL_ parameters (PX4 v1.11 and later)")
     for channel, unit in (("gyro", "rad/s"), ("accel", "m/s2")):
         if (data := both[channel]) is None:
             continue
         values: FloatArray = np.stack([data[axis] for axis in "xyz"], axis=1).astype(np.float64)
-        if not np.array_equal(clock(data), parsed.time):
-            values, missing = onto_clock(parsed.time, clock(data), values)
+        if not np.array_equal(clock(data), found.time):
+            values, missing = onto_clock(found.time, clock(data), values)
             lost = f", {missing} samples in its drop-outs are gaps" if missing else ""
-            parsed.notes.append(f"{channel} interpolated onto the gyroscope's time stamps{lost}")
-        parsed.channels[channel] = (values, unit)
+            found.notes.append(f"{channel} interpolated onto the gyroscope's time stamps{lost}")
+        found.channels[channel] = (values, unit)
     if "temperature" in main and np.isfinite(main["temperature"]).all():
-        parsed.channels["temp"] = (main["temperature"], "degC")
+        found.channels["temp"] = (main["temperature"], "degC")
     number = int(main["device_id"][0]) if "device_id" in main else sensor
-    parsed.about = {"device": f"{hardware} {number}".strip(), "gaps": True}
-    return parsed
+    found.about = {"device": f"{hardware} {number}".strip(), "gaps": "keep"}
+    return found
 
 
 def _nilspod(path: Path, **_: Any) -> Parsed:
     content = read_bytes(path)
     wanted = content[0] + content[1] * struct.unpack_from("<I", content, 23)[0]
     if len(content) != wanted:
-        raise ValueError(f"the header gives {wanted} bytes, but the file has {len(content)}")
+        raise ValueError(f"its header states {wanted} bytes, it has {len(content)}")
     nilspodlib, version = library("nilspodlib"), ".".join(map(str, content[content[0] - 3 : content[0]]))
     legacy = "error" if version == "0.17.255" else "resolve"  # older files are converted up to this version
     with warnings.catch_warnings(record=True) as caught:
@@ -234,27 +251,27 @@ def _nilspod(path: Path, **_: Any) -> Parsed:
                 f"expected firmware that nilspodlib supports, got {version}. Export it to CSV."
             ) from error
         rate_hz, counter = float(data.info.sampling_rate_hz), np.asarray(data.counter, dtype=np.float64)
-        parsed = Parsed(time=(counter - counter[0]) / rate_hz, about={"device": f"NilsPod {data.info.sensor_id}"})
+        found = Parsed(time=(counter - counter[0]) / rate_hz, about={"device": f"NilsPod {data.info.sensor_id}"})
         for channel, name, unit in (("gyro", "gyro", "dps"), ("accel", "acc", "m/s2"), ("temp", "temperature", "degC")):
             if (stream := getattr(data, name, None)) is not None:
                 values = np.asarray(stream.data).reshape(len(counter), -1)
-                parsed.channels[channel] = (values[:, 0] if channel == "temp" else values, unit)
+                found.channels[channel] = (values[:, 0] if channel == "temp" else values, unit)
     start, end = struct.unpack_from("<II", content, 15)
     lasts_s, lost = (counter[-1] - counter[0]) / rate_hz, int(counter[-1] - counter[0]) + 1 - len(counter)
     if abs(end - start - lasts_s) > 2.0 + 0.05 * lasts_s:
-        raise ValueError(f"the header gives {end - start} s, but the file has {lasts_s:.4g} s")
-    parsed.notes = [
+        raise ValueError(f"its header states {end - start} s, it has {lasts_s:.4g} s")
+    found.notes = [
         f"firmware {data.info.version_firmware}, {rate_hz:g} Hz, factory scale applied, magnetometer left out (no unit)",
         *[f"{lost} of {len(counter) + lost} samples missing by the counter, seen as gaps in time"] * (lost > 0),
         *(first_line(w.message) for w in caught if isinstance(w.message, UserWarning)),
     ]
-    return parsed
+    return found
 
 
 def _logger(path: Path, drop: bool, **_: Any) -> Parsed:
     """Read an Axivity, GENEActiv or ActiGraph file. Times are interpolated linearly between the stamps of the blocks."""
-    content = library("actfast").read(str(path), lenient=drop)
-    series, about, kind = content["timeseries"], content["metadata"], content["format"]
+    held = library("actfast").read(str(path), lenient=drop)
+    series, about, kind = held["timeseries"], held["metadata"], held["format"]
     fast = series.get("high_frequency") or series["acceleration"]
     slow, stamps = series.get("low_frequency", {}), np.asarray(fast["datetime"], dtype=np.int64)
     if not len(stamps):
@@ -267,24 +284,24 @@ def _logger(path: Path, drop: bool, **_: Any) -> Parsed:
     if pages.isdigit() and len(stamps) < 300 * int(pages) and not drop:
         raise ValueError(f"samples of {pages} pages are missing. Set drop_bad_rows = true in a map to read the rest.")
     start = stamps[:1].astype("M8[ns]").astype("M8[ms]")[0]
-    parsed = Parsed(notes=[f"time 0 is {start} by the logger's clock (local time)", *map(str, content["warnings"])])
+    found = Parsed(notes=[f"time 0 is {start} by the logger's clock (local time)", *map(str, held["warnings"])])
     blocks = np.asarray(slow.get("datetime", stamps[:1]), dtype=np.int64)
-    parsed.time = _interpolate_blocks(stamps, blocks, fitted=kind.startswith("GeneActiv"))
-    parsed.channels["accel"] = (np.asarray(fast["acceleration"], dtype=np.float64), "g")
+    found.time = _straight(stamps, blocks, fitted=kind.startswith("GeneActiv"))
+    found.channels["accel"] = (np.asarray(fast["acceleration"], dtype=np.float64), "g")
     if "gyroscope" in fast:
-        parsed.channels["gyro"] = (np.asarray(fast["gyroscope"], dtype=np.float64), "dps")
-    if "temperature" in slow and np.ptp(parsed.time[[0, -1]]):
+        found.channels["gyro"] = (np.asarray(fast["gyroscope"], dtype=np.float64), "dps")
+    if "temperature" in slow and np.ptp(found.time[[0, -1]]):
         temp_c = np.asarray(slow["temperature"], dtype=np.float64)
-        at = parsed.time[np.minimum(np.searchsorted(stamps, blocks), len(stamps) - 1)]
-        parsed.channels["temp"] = (np.interp(parsed.time, at, temp_c), "degC")
-        parsed.notes.append("one temperature for each block of samples, interpolated (programs differ in its formula)")
+        at = found.time[np.minimum(np.searchsorted(stamps, blocks), len(stamps) - 1)]
+        found.channels["temp"] = (np.interp(found.time, at, temp_c), "degC")
+        found.notes.append("one temperature for each block of samples, interpolated (programs differ in its formula)")
     device, identity = about.get("device", {}), about.get("Device Identity", about.get("info", {}))
     number = device.get("device_id", identity.get("Device Unique Serial Code", identity.get("Serial Number", "")))
-    parsed.about = {"device": f"{device.get('hardware_type', kind.split()[0].replace('Gene', 'GENE'))} {number}"}
-    return parsed
+    found.about = {"device": f"{device.get('hardware_type', kind.split()[0].replace('Gene', 'GENE'))} {number}"}
+    return found
 
 
-def _interpolate_blocks(stamps: NDArray[Any], blocks: NDArray[Any], *, fitted: bool) -> FloatArray:
+def _straight(stamps: NDArray[Any], blocks: NDArray[Any], *, fitted: bool) -> FloatArray:
     """Return times in s from 0, linear from block to block. With ``fitted``, each run has a single rate, for coarse
     block stamps.
     """

@@ -24,13 +24,14 @@ from typing import NamedTuple
 
 from undrift.errors import InputError
 from undrift.files import read_bytes, read_so_far
-from undrift.io.columns import AXES, ColumnMap, ReadResult, ReadSettings, TextLayout, build_record, is_date, is_number
-from undrift.io.labelled import Sheet, as_utf8, is_unit, label_of, labelled, read_sheet, sheet_of, states_units
+from undrift.io.column_map import AXES, ColumnMap, TextLayout
+from undrift.io.columns import RawTable, is_date, is_number
+from undrift.io.labelled import Sheet, as_utf8, is_unit, label_of, labelled, sheet_of, sheet_table, states_units
 from undrift.io.text import Text, parse_text
 
 _HEAD = 1 << 16
 _WATCHED = 1 << 16  # lines, between two words of how far a file is read
-_LEAST = 5  # readings of a log, and lines of a possible reading
+_LEAST = 5  # readings of a log, and lines of one that may be of one
 _SHARE = 0.5  # of the lines of the most frequent shape: as frequent, so that it comes in every reading
 _MOST_LINES = 24  # of one reading
 _NUMBER = re.compile(r"(?<![\w.^])[-+]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|(?:nan|inf)\b)")
@@ -57,7 +58,7 @@ _BOTH = re.compile(r"(?i)a/g|acc\w*[ /+&]+gyr\w*")  # before six numbers: of the
 class LogLine(NamedTuple):
     """A line with numbers, taken apart."""
 
-    shape: tuple[str, ...]  # the heading above the line, the text before each number, the text after the last
+    shape: tuple[str, ...]  # The heading above it, what stands before each number, what stands behind the last
     values: tuple[str, ...]
     stamp_s: float | None
 
@@ -66,7 +67,7 @@ class LogLine(NamedTuple):
 class SerialLog:
     """The readings in a log, as a table."""
 
-    names: tuple[str, ...]  # names of the columns, or positions if a column has no name
+    names: tuple[str, ...]  # Of each column; positions where nothing names a column
     content: bytes  # CSV without a header
     before: int  # Lines with numbers before the first reading
     lost: int  # Lines with numbers after it that belong to no reading
@@ -111,10 +112,10 @@ def lines_of(content: bytes, path: Path | None = None) -> Iterator[LogLine]:
 def _stamp(line: str) -> tuple[float | None, str]:
     """Return the time of a stamp before a line, s, and the line without it."""
     for pattern in _STAMPS:
-        if match := pattern.match(line):
-            clock = {key: float(cell.replace(",", ".")) for key, cell in match.groupdict().items() if cell}
+        if found := pattern.match(line):
+            clock = {key: float(cell.replace(",", ".")) for key, cell in found.groupdict().items() if cell}
             seconds = {"h": 3600.0, "m": 60.0, "s": 1.0, "ms": 1e-3, "us": 1e-6}
-            return sum(seconds[key] * value for key, value in clock.items()), line[match.end() :].strip()
+            return sum(seconds[key] * value for key, value in clock.items()), line[found.end() :].strip()
     return None, line
 
 
@@ -143,11 +144,11 @@ def find_readings(content: bytes, path: Path | None = None) -> SerialLog | None:
     if stamped:
         names = [str(k) for k in range(len(names) + 1)] if bare else ["time (s)", *names]
         rows = [[f"{lines[0].stamp_s:.6f}", *row] for lines, row in zip(readings, rows, strict=True)]
-    column_names = tuple(name or f"column {k}" for k, name in enumerate(names))
+    named = tuple(name or f"column {k}" for k, name in enumerate(names))
     before = every.index(readings[0][0])
     lost = len(every) - before - len(readings) * len(cycle) + (not content.endswith(b"\n"))
     plain = not stamped and not "".join(chain.from_iterable(cycle)).strip(" ,;")
-    return SerialLog(column_names, "".join(",".join(row) + "\n" for row in rows).encode(), before, lost, plain)
+    return SerialLog(named, "".join(",".join(row) + "\n" for row in rows).encode(), before, lost, plain)
 
 
 def readings_in(lines: Iterable[LogLine], cycle: Sequence[tuple[str, ...]]) -> Iterator[list[LogLine]]:
@@ -198,37 +199,34 @@ def _slots(line: int, heading: str, *cells: str) -> Iterator[NumberSlot]:
     group, word, inner = 0, heading, ""
     for cell, behind in pairwise(cells):
         text = cell if cell is cells[0] else cell[len(_unit_of(cell)[1]) :]
-        units = [bracket for bracket in _IN_BRACKETS.findall(text) if is_unit(bracket)]
-        name_words = _WORD.findall(_IN_BRACKETS.sub(" ", text))
-        axis = name_words.pop().lower() if name_words and name_words[-1].lower() in AXES else ""
-        if heading and cell is cells[0] and is_unit(" ".join(name_words)):  # "Degrees C = 25.1" under "Thermometer:"
-            units, name_words = [" ".join(name_words)], []
-        if name_words or units:
-            group, word, inner = group + 1, _quantity(name_words) if name_words else word, units[0] if units else ""
+        units = [held for held in _IN_BRACKETS.findall(text) if is_unit(held)]
+        words = _WORD.findall(_IN_BRACKETS.sub(" ", text))
+        axis = words.pop().lower() if words and words[-1].lower() in AXES else ""
+        if heading and cell is cells[0] and is_unit(" ".join(words)):  # "Degrees C = 25.1" under "Thermometer:"
+            units, words = [" ".join(words)], []
+        if words or units:
+            group, word, inner = group + 1, _quantity(words) if words else word, units[0] if units else ""
         yield NumberSlot((line, group), word, axis, _unit_of(behind)[0] or inner)
 
 
 def _unit_of(behind: str) -> tuple[str, str]:
     """Return the unit at the start of the text after a number, and the text it takes. Return "" if there is no unit."""
     for pattern in _UNITS_BEHIND:
-        if (match := pattern.match(behind)) and is_unit(unit := match.group(1)):
-            return unit, match.group()
+        if (found := pattern.match(behind)) and is_unit(unit := found.group(1)):
+            return unit, found.group()
     return "", ""
 
 
-def _quantity(name_words: Sequence[str]) -> str:
+def _quantity(words: Sequence[str]) -> str:
     """Return the last words that name the same quantity as all of them do: "Acc" of "Scaled. Acc"."""
 
     def channel(some: Sequence[str]) -> str:
         label = label_of(f"{' '.join(some)} x")
         return label.channel if label else ""
 
-    wanted = channel(name_words)
+    wanted = channel(words)
     return " ".join(
-        next(
-            (name_words[k:] for k in reversed(range(len(name_words))) if wanted and channel(name_words[k:]) == wanted),
-            name_words,
-        )
+        next((words[k:] for k in reversed(range(len(words))) if wanted and channel(words[k:]) == wanted), words)
     )
 
 
@@ -282,21 +280,20 @@ def log_sheet(path: Path, log: SerialLog | None = None) -> Sheet:
     return labelled(Sheet(path=path, names=log.names, units=blank, layout=layout, rows=log.content))
 
 
-def read_log(path: Path, columns: ColumnMap | None, settings: ReadSettings) -> ReadResult:
+def read_log(path: Path, how: ColumnMap) -> RawTable:
     """Read a log with a map, or without a map if the log contains its units."""
     log = read_readings(path)
     sheet = log_sheet(path, log)
-    if columns is not None:
-        result = build_record(parse_text(log_text(path, log), columns.numeric()), columns)
+    if how.columns:
+        table = parse_text(log_text(path, log), how.wanted(numeric=True))
     elif states_units(sheet):
-        result = read_sheet(sheet, settings)
+        table = sheet_table(sheet, how)
     else:
         raise InputError(
             f"{path}: expected units in a log, got {', '.join(log.names[:8])} without. Run undrift info FILE "
             f"--write-map "
             "map.toml to propose a map, and name the map with `column_map`."
         )
-    note = f"a log of {len(result.record)} readings" + f", lines left out before the first: {log.before}" * bool(
-        log.before
-    )
-    return replace(result, notes=(note, *result.notes), dropped_rows=result.dropped_rows + log.lost)
+    count = log.content.count(b"\n")
+    note = f"a log of {count} readings" + f", lines left out before the first: {log.before}" * bool(log.before)
+    return replace(table, notes=(note, *table.notes), dropped=table.dropped + log.lost)

@@ -20,7 +20,7 @@ from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, is_gzip, read_bytes, sound
 from undrift.frames import signed
-from undrift.io.columns import naming
+from undrift.io.column_map import naming
 from undrift.io.isolated import Parsed, read_isolated
 from undrift.record import Reference, check_time, sample_rate_of
 from undrift.units import si_factor

@@ -19,20 +19,8 @@ from typing import Any, Self
 
 from undrift.errors import FileFormatError, InputError
 from undrift.files import MOST_BYTES, checked_file, first_line, new_part, sound, too_large, unwritten
-from undrift.io.columns import (
-    FORMAT,
-    KIND,
-    READ_SETTINGS,
-    ColumnMap,
-    RawTable,
-    ReadResult,
-    ReadSettings,
-    build_record,
-    marks_of,
-    native_columns,
-    native_map,
-    stated,
-)
+from undrift.io.column_map import READ_SETTINGS, ColumnMap, native_map
+from undrift.io.columns import FORMAT, KIND, RawTable, build_record, marks_of, native_columns, read_marks
 from undrift.record import Record
 
 CHUNK_ROWS = 65_536  # 4 MB of seven channels: stays in the cache
@@ -40,41 +28,31 @@ _KEY, _CRC = b"undrift", b"undrift.crc32"
 _BUFFER = 1 << 20
 
 
-def read_parquet(
-    path: str | Path, columns: ColumnMap | None = None, settings: ReadSettings = READ_SETTINGS
-) -> ReadResult:
-    """Read a record, through a map or with undrift's own names."""
+def read_parquet(path: str | Path, how: ColumnMap = READ_SETTINGS) -> RawTable:
+    """Read a table; its own map and marks are those of undrift's names."""
     with _open(path) as handle:
-        columns = columns or _native_map(Path(path), handle, settings)
-        return build_record(_table(path, _whole(path, handle)), columns)
+        return _stating(Path(path), handle, _table(path, _whole(path, handle)), how)
 
 
 def read_own_parquet(path: Path) -> Record:
     """Read a record that undrift wrote."""
-    with _open(path) as handle:
-        return build_record(_table(path, _whole(path, handle)), _native_map(path, handle, READ_SETTINGS)).record
+    return build_record(read_parquet(path)).record
 
 
-def iter_parquet(
-    path: str | Path,
-    columns: ColumnMap | None = None,
-    settings: ReadSettings = READ_SETTINGS,
-    *,
-    rows: int = CHUNK_ROWS,
-) -> Iterator[Record]:
+def iter_parquet(path: str | Path, how: ColumnMap = READ_SETTINGS, *, rows: int = CHUNK_ROWS) -> Iterator[Record]:
     """Read a record in chunks, with constant memory for any file size."""
     if rows < 2:
         raise InputError(f"rows: expected two samples or more in a chunk, got {rows}")
     last: float | None = None
     with _open(path, stream=True) as handle:
-        columns = columns or _native_map(Path(path), handle, settings)
-        if columns.time is None:
+        own = _stating(Path(path), handle, RawTable(source=str(path), names=_names(handle), columns=()), how)
+        if not (own.own or how).columns_of("time"):
             raise InputError(
                 f"{path}: expected a time column to read in chunks, got none. Add time_s, or read the "
                 f"file in one piece."
             )
-        for chunk in _batches(path, handle, rows):
-            record = build_record(_table(path, chunk), columns).record
+        for part in _batches(path, handle, rows):
+            record = build_record(replace(own, columns=tuple(part.columns)), how).record
             if last is not None and record.time[0] <= last:
                 raise InputError(
                     f"{path}: expected strictly increasing time, got {last:.9g} s then {record.time[0]:.9g} s. Repair the file."
@@ -92,7 +70,7 @@ def write_parquet(record: Record, path: str | Path) -> None:
 class ParquetWriter:
     """Write a record chunk by chunk. The file appears under its name only when the with block ends well."""
 
-    write_every_s = 10.0  # of the record, for a live recording
+    write_every_s = 10.0  # of the record, where it comes live
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
@@ -130,20 +108,17 @@ class ParquetWriter:
         from pyarrow import parquet as pq
 
         names, columns = native_columns(record)
-        marks = marks_of(record) | {"kind": KIND, "format": FORMAT}
+        held = marks_of(record) | {"kind": KIND, "format": FORMAT}
         for triad, unit in (("gyro", record.gyro_unit), ("accel", record.accel_unit)):
-            marks[f"{triad}_unit"] = None if getattr(record, triad) is None else unit
-        metadata = {_KEY: json.dumps(marks, sort_keys=True).encode()}
+            held[f"{triad}_unit"] = None if getattr(record, triad) is None else unit
+        metadata = {_KEY: json.dumps(held, sort_keys=True).encode()}
         metadata[_CRC] = _crc(names, metadata[_KEY])
         schema = pa.schema([(name, pa.float64()) for name in names], metadata=metadata)
         if self._writer is None:
             self._part = new_part(self.path)
             with _room(self.path, 0):
                 self._sink = pa.OSFile(str(self._part), "wb")
-                how = {
-                    "write_page_checksum": True,
-                    "write_statistics": ["time_s"],
-                }  # other programs look up rows only by time
+                how = {"write_page_checksum": True, "write_statistics": ["time_s"]}  # others look up rows by time alone
                 self._writer = pq.ParquetWriter(self._sink, schema, use_dictionary=False, **how)
             self._schema = schema
         if not schema.equals(self._schema, check_metadata=True):
@@ -171,13 +146,17 @@ def parquet_rows(path: str | Path) -> int:
 def parquet_names(path: str | Path) -> tuple[str, ...]:
     """Return the column names."""
     with _open(path) as handle:
-        return tuple(handle.schema_arrow.names)
+        return _names(handle)
 
 
 def read_parquet_table(path: str | Path) -> RawTable:
     """Return the columns of a Parquet file as they are."""
     with _open(path) as handle:
         return _table(path, _whole(path, handle))
+
+
+def _names(handle: Any) -> tuple[str, ...]:
+    return tuple(handle.schema_arrow.names)
 
 
 @contextmanager
@@ -214,16 +193,16 @@ def _batches(path: str | Path, handle: Any, rows: int) -> Iterator[Any]:
     """Yield Arrow tables of ``rows`` rows. A single last row is added to the chunk before it."""
     import pyarrow as pa
 
-    batches, count = list[Any](), 0
+    held, count = list[Any](), 0
     with sound(Path(path), "Parquet"):
         for batch in handle.iter_batches(batch_size=rows):
-            batches.append(batch)
+            held.append(batch)
             count += batch.num_rows
-            while count >= rows + 2:  # the rest is a chunk of its own
-                table = pa.Table.from_batches(batches)
+            while count >= rows + 2:  # what is left over is a chunk of its own
+                table = pa.Table.from_batches(held)
                 yield table.slice(0, rows)
-                batches, count = table.slice(rows).to_batches(), count - rows
-    yield pa.Table.from_batches(batches, schema=handle.schema_arrow)
+                held, count = table.slice(rows).to_batches(), count - rows
+    yield pa.Table.from_batches(held, schema=handle.schema_arrow)
 
 
 def _table(path: str | Path, table: Any) -> RawTable:
@@ -234,19 +213,21 @@ def _crc(names: Iterable[str], statement: bytes) -> bytes:
     return b"%08x" % zlib.crc32(statement, zlib.crc32(",".join(names).encode()))
 
 
-def _native_map(path: Path, handle: Any, settings: ReadSettings) -> ColumnMap:
-    columns = native_map(tuple(handle.schema_arrow.names), settings, source=str(path))
+def _stating(path: Path, handle: Any, table: RawTable, how: ColumnMap) -> RawTable:
+    """Return the table with its own map and marks, unless a map names its columns."""
+    if how.columns:
+        return table
+    own = native_map(table.names, how, source=str(path))
     metadata = handle.schema_arrow.metadata
     if not metadata or _KEY not in metadata:
-        return columns
-    if metadata.get(_CRC, crc := _crc(handle.schema_arrow.names, metadata[_KEY])) != crc:
+        return replace(table, own=own)
+    if metadata.get(_CRC, crc := _crc(table.names, metadata[_KEY])) != crc:
         raise FileFormatError(f"{path}: the file header was changed after it was written (CRC-32). Restore the file.")
-    marks = json.loads(metadata[_KEY])
-    if marks.get("kind") != KIND or marks.get("format") != FORMAT:
+    held = json.loads(metadata[_KEY])
+    if held.get("kind") != KIND or held.get("format") != FORMAT:
         raise FileFormatError(
-            f"{path}: expected {KIND} format {FORMAT}, got {marks.get('kind')} format {marks.get('format')}. Read it with the "
+            f"{path}: expected {KIND} format {FORMAT}, got {held.get('kind')} format {held.get('format')}. Read it with the "
             "undrift that wrote it."
         )
-    # undrift wrote it: NaN in it is a gap
-    columns = replace(columns, gaps=settings.gaps or "keep")
-    return stated(columns, marks, f"{path}: expected the frame, state and device of a recording, got other keys")
+    marks = read_marks(held, f"{path}: expected the frame, state and device of a recording, got other keys")
+    return replace(table, own=own if how.gaps else own.but(gaps="keep"), marks=marks)  # NaN in it is a gap

@@ -9,7 +9,7 @@ itself.
 import csv
 import re
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
@@ -19,8 +19,10 @@ import numpy as np
 from undrift.errors import FileFormatError, InputError
 from undrift.files import MOST_BYTES, read_bytes, sound, too_large
 from undrift.io.clock import onto_clock
-from undrift.io.columns import AXES, READ_SETTINGS, ColumnMap, ReadResult, ReadSettings, date_of
-from undrift.io.labelled import Sheet, as_utf8, label_of, labelled, open_sheet, read_sheet
+from undrift.io.column_map import AXES, ColumnMap, native_map
+from undrift.io.columns import RawTable, ReadResult, build_record, date_of, native_columns
+from undrift.io.labelled import Sheet, as_utf8, label_of, labelled, open_sheet, sheet_table
+from undrift.record import Record
 
 OPPOSITE_SIGN = "acceleration multiplied by -1: iOS reads -1 g along an axis that points up"
 UNKNOWN_SIGN = "the file does not give the sign of acceleration (iOS and Android differ). Export Metadata.csv too."
@@ -43,46 +45,51 @@ def phone_pair(files: Sequence[Path]) -> tuple[Path, Path] | None:
     return (order[0], order[1]) if order[0].name in _GYRO and order[1].name in _ACCEL else None
 
 
-def read_phone(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadResult:
+def read_phone(path: Path, how: ColumnMap) -> RawTable:
     """Read the folder of a phone."""
     gyro, accel = (next(path / name for name in names if (path / name).is_file()) for names in (_GYRO, _ACCEL))
-    return read_phone_pair(gyro, accel, settings)
+    return read_phone_pair(gyro, accel, how)
 
 
-def read_phone_pair(gyro_file: Path, accel_file: Path, settings: ReadSettings) -> ReadResult:
+def read_phone_pair(gyro_file: Path, accel_file: Path, how: ColumnMap) -> RawTable:
     """Read gyroscope and accelerometer of a phone. The accelerometer is interpolated onto the time stamps of the
     gyroscope.
     """
     path, name, other = gyro_file.parent, gyro_file.name, accel_file.name
-    result, start = _read_file(gyro_file, settings)
+    gyro, gyro_start = _read_file(gyro_file, how)
     try:
-        accel_result, accel_start = _read_file(accel_file, settings)
+        accel, accel_start = _read_file(accel_file, how)
     except FileFormatError as error:
         if not error.numbers.get("gravity_removed"):
             raise
-        return replace(result, notes=(*result.notes, str(error).removeprefix(f"{path}/")))
-    gyro, accel = result.record, accel_result.record
-    if accel.accel is None or gyro.gyro is None:
+        return _table_of(path, gyro.record, how, (*gyro.notes, str(error).removeprefix(f"{path}/")))
+    if accel.record.accel is None or gyro.record.gyro is None:
         raise FileFormatError(f"{path}: expected a gyroscope in {name} and an accelerometer in {other}, got others")
-    later_s = (accel_start - start) / np.timedelta64(10**9, "ns") + accel_result.epoch_s - result.epoch_s
-    accel_time = accel.time + later_s
-    inside = np.flatnonzero((gyro.time >= accel_time[0]) & (gyro.time <= accel_time[-1]))
+    later_s = (accel_start - gyro_start) / np.timedelta64(10**9, "ns") + accel.epoch_s - gyro.epoch_s
+    accel_time, gyro_time = accel.record.time + later_s, gyro.record.time
+    inside = np.flatnonzero((gyro_time >= accel_time[0]) & (gyro_time <= accel_time[-1]))
     if len(inside) < 2:
         raise FileFormatError(f"{path}: {name} and {other} do not overlap in time. Read only one of them.")
-    overlap = gyro.part(int(inside[0]), int(inside[-1]) + 1)
-    values, missing = onto_clock(overlap.time, accel_time, accel.accel)
+    part = gyro.record.part(int(inside[0]), int(inside[-1]) + 1)
+    values, missing = onto_clock(part.time, accel_time, accel.record.accel)
     notes = [f"{other} interpolated onto the time stamps of {name}"]
     notes += [f"{missing} samples in drop-outs of {other} are gaps"] * bool(missing)
-    record = replace(overlap, accel=values, accel_unit=accel.accel_unit)
-    return replace(result, record=record, notes=tuple(dict.fromkeys((*result.notes, *accel_result.notes, *notes))))
+    record = replace(part, accel=values, accel_unit=accel.record.accel_unit)
+    return _table_of(path, record, how, dict.fromkeys((*gyro.notes, *accel.notes, *notes)))
 
 
-def _read_file(file: Path, settings: ReadSettings) -> tuple[ReadResult, np.datetime64]:
+def _table_of(path: Path, record: Record, how: ColumnMap, notes: Iterable[str]) -> RawTable:
+    names, columns = native_columns(record)
+    own = native_map(names, how).but(gaps="keep", device=record.device)
+    return RawTable(source=str(path), names=names, columns=columns, own=own, notes=tuple(notes))
+
+
+def _read_file(file: Path, how: ColumnMap) -> tuple[ReadResult, np.datetime64]:
     """Return the content of a file, and the date of its first row. Dates are counted from the first row."""
     sheet = open_sheet(file)
     start = date_of(sheet.rows[:64].split(b",", 1)[0].decode("utf-8", "replace"))
     sheet = _sensor_logger(sheet) if sheet.names[:2] == ("time", "seconds_elapsed") else labelled(sheet)
-    return read_sheet(sheet, settings), start
+    return build_record(sheet_table(sheet, how.but(clock="file"))), start
 
 
 def is_phone_zip(path: Path) -> bool:
@@ -92,18 +99,18 @@ def is_phone_zip(path: Path) -> bool:
     return not (names.isdisjoint(_GYRO) or names.isdisjoint(_ACCEL))
 
 
-def read_phone_zip(path: Path, _: ColumnMap | None, settings: ReadSettings) -> ReadResult:
+def read_phone_zip(path: Path, how: ColumnMap) -> RawTable:
     """Read the zip that an app of a phone exports, as the folder in it."""
     wanted = (*_GYRO, *_ACCEL, "Metadata.csv")
     with sound(path, "zip"), zipfile.ZipFile(path) as archive, TemporaryDirectory() as folder:
         for item in archive.infolist():
             name = PurePosixPath(item.filename).name
-            if name in wanted and item.file_size > MOST_BYTES:  # zipfile never unpacks more than this size
+            if name in wanted and item.file_size > MOST_BYTES:  # zipfile unpacks no more than is stated
                 raise too_large(path)
             if name in wanted:
                 (Path(folder) / name).write_bytes(archive.read(item))
         try:
-            return read_phone(Path(folder), None, settings)
+            return read_phone(Path(folder), how)
         except InputError as error:
             raise type(error)(str(error).replace(folder, str(path)), **error.numbers) from error
 
@@ -111,9 +118,9 @@ def read_phone_zip(path: Path, _: ColumnMap | None, settings: ReadSettings) -> R
 # ---- Sensor Logger: one sensor a file
 
 
-def read_sensor_logger(path: Path, _: ColumnMap | None = None, settings: ReadSettings = READ_SETTINGS) -> ReadResult:
+def read_sensor_logger(path: Path, how: ColumnMap) -> RawTable:
     """Read one file of Sensor Logger, as specific force."""
-    return read_sheet(_sensor_logger(open_sheet(path)), settings)
+    return sheet_table(_sensor_logger(open_sheet(path)), how)
 
 
 def _sensor_logger(sheet: Sheet) -> Sheet:

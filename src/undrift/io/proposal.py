@@ -8,89 +8,75 @@ of the last. Readers never guess. The map contains each proposal and its reason.
 
 import json
 import os
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from undrift.base.codec import toml_block, toml_text, tree_of
+from undrift.base.codec import toml_block, toml_text
 from undrift.errors import InputError
 from undrift.frames import quaternion_of, rotate
+from undrift.io.column_map import map_of_tree
 from undrift.io.formats import read_record
+from undrift.io.guess import MapProposal
 from undrift.io.inspect import Description
-from undrift.io.session import HeadEntry, entry_of_tree, piece_toml, stated_piece
+from undrift.io.session import HeadEntry, piece_entry, piece_toml
 from undrift.record import FileMap, Record, Session, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE
 
 _WINDOW_S = 0.2
 _MOVED = (10.0 * RADIAN_PER_DEGREE, 90.0 * RADIAN_PER_DEGREE)  # of gravity in a window: the device turned
 _LEAST_WINDOWS = 20
-_CLEARLY = 0.5  # the right unit misses gravity by less than this share of the other unit's error
+_CLEARLY = 0.5  # the right unit misses gravity by less than this share of what the other does
 
 
-def map_of(
-    description: Description, *, sample_rate_hz: float | None = None, units: Mapping[str, str | None] | None = None
+def map_text(
+    found: Description, *, sample_rate_hz: float | None = None, units: Mapping[str, str | None] | None = None
 ) -> str:
     """Return the text of the map that a description proposes, each unit with its reason, or "?" for an unknown unit."""
-    if not description.example:
+    proposal = found.proposal
+    if proposal is None:
         raise InputError(
-            f"{description.path}: expected a table that needs a map, got {description.kind} ({description.format}): "
-            f"{description.summary}. "
+            f"{found.path}: expected a table that needs a map, got {found.kind} ({found.format}): {found.summary}. "
             f"Omit "
             "--write-map."
         )
-    lines = [line for line in description.example if not line.startswith(("units", "sample_rate_hz = ?"))]
-    if "sample_rate_hz = ?" in description.example:
+    if proposal.rate == "?":
         if sample_rate_hz is None:
-            raise InputError(f"{description.path}: a table without time needs its sample rate. Add `sample_rate_hz`.")
-        lines.append(f"sample_rate_hz = {sample_rate_hz:g}")
-    units_line = next((line for line in description.example if line.startswith("units")), "units = {}")
-    proposed, chosen_units = (
-        tomllib.loads(units_line)["units"],
-        {k: u for k, u in (units or {}).items() if u is not None},
-    )
-    why = {key: _why(key, unit, units_line) for key, unit in proposed.items()}
-    proposed |= {key: unit for key, unit in chosen_units.items() if key in proposed}
-    why |= dict.fromkeys(chosen_units, "as given")
-    gyro_uncertain = "gyro" in proposed and (proposed["gyro"] == "?" or why["gyro"].startswith("proposed"))
+            raise InputError(f"{found.path}: a table without time needs its sample rate. Add `sample_rate_hz`.")
+        proposal = replace(proposal, rate=f"{sample_rate_hz:g}")
+    given = {key: unit for key, unit in (units or {}).items() if unit is not None and key in proposal.units}
+    why = dict.fromkeys(proposal.units, "by the name of its column")
+    why |= {key: f"proposed by {reason}" for key, reason in proposal.reasons.items()}
+    known = proposal.units | given
+    unsure = "gyro" not in given and (known.get("gyro") == "?" or "gyro" in proposal.reasons)
     # gravity is a better witness than the size of the readings
-    if gyro_uncertain and (gyro_proposal := _propose_gyro_unit(description, lines, proposed)):
-        proposed["gyro"], why["gyro"] = gyro_proposal
-    text = [f"# How {Path(description.path).name} is read. The keys are explained in docs/maps.md. Check each unit."]
-    text += [f"# {key}: {unit}, {why[key]}" for key, unit in proposed.items()]
-    units_text = ", ".join(f"{key} = {json.dumps(unit)}" for key, unit in proposed.items())
-    return "\n".join([*text, lines[0], *([f"units = {{ {units_text} }}"] if units_text else []), *lines[1:]]) + "\n"
+    if unsure and (turned := _gyro_by_gravity(found.path, replace(proposal, units=known))):
+        known["gyro"], why["gyro"] = turned
+    why |= dict.fromkeys(given, "as given")
+    why |= {key: "not determined by name or readings: enter the unit" for key, unit in known.items() if unit == "?"}
+    head = [f"# How {Path(found.path).name} is read. The keys are explained in docs/maps.md. Check each unit."]
+    head += [f"# {key}: {unit}, {why[key]}" for key, unit in known.items()]
+    return "\n".join([*head, *replace(proposal, units=known, reasons={}).lines()]) + "\n"
 
 
-def _why(key: str, unit: str, line: str) -> str:
-    """Return where a proposed unit comes from: the name of its column, or the size of the readings."""
-    if unit == "?":
-        return "not determined by name or readings: enter the unit"
-    reasons = dict(
-        reason.split(" by ", 1) for reason in line.partition("# proposed: ")[2].split("; ") if " by " in reason
-    )
-    return f"proposed by {reasons[key]}" if key in reasons else "by the name of its column"
-
-
-def _propose_gyro_unit(
-    description: Description, lines: Sequence[str], units: Mapping[str, str]
-) -> tuple[str, str] | None:
+def _gyro_by_gravity(path: str, proposal: MapProposal) -> tuple[str, str] | None:
     """Return the unit of the gyroscopes determined from gravity, and the reason, or None if it is not observable."""
-    if units.get("time") == "?":
+    time = {"time": proposal.units["time"]} if "time" in proposal.units else {}
+    if "?" in time.values():
         return None
-    as_read = dict.fromkeys(("gyro", "accel"), "count") | {key: units[key] for key in ("time",) if key in units}
-    keys = entry_of_tree(tomllib.loads("\n".join(lines)) | {"units": as_read})
+    needed = {key: value for key, value in proposal.columns.items() if key in ("time", "gyro", "accel")}
+    counts = {key: "count" for key in ("gyro", "accel") if key in needed}
+    rate = {"sample_rate_hz": float(proposal.rate.split()[0])} if proposal.rate else {}
     try:
-        estimate = gyro_unit_of(
-            read_record(description.path, replace(keys.maps()[0], temp=None, mag=None, gaps="keep"))
-        )
-    except InputError:  # the map reports the error when it is used
+        how = map_of_tree({"columns": needed, "units": time | counts, "gaps": "keep"} | rate | proposal.layout)
+        turned = gyro_unit_of(read_record(path, how))
+    except InputError:  # the map will say what is wrong when it is used
         return None
-    if estimate is None:
+    if turned is None:
         return None
-    unit, moves, miss_deg, other_deg = estimate
+    unit, moves, miss_deg, other_deg = turned
     return unit, (
         f"proposed: it turns gravity as the accelerometers read it, to {miss_deg:.1f} deg (median of {moves} moves of "
         f"{_WINDOW_S:g} s); {'dps' if unit == 'rad/s' else 'rad/s'} misses it by {other_deg:.1f} deg"
@@ -106,21 +92,19 @@ def gyro_unit_of(record: Record) -> tuple[str, int, float, float] | None:
     if record.gyro is None or record.accel is None or count < _LEAST_WINDOWS:
         return None
     gyro, accel = (values[: count * size].reshape(count, size, 3) for values in (record.gyro, record.accel))
-    quarter = max(1, size // 4)
-    means = (accel[:, cut].mean(axis=1) for cut in (slice(None, quarter), slice(-quarter, None)))
+    part = max(1, size // 4)
+    means = (accel[:, cut].mean(axis=1) for cut in (slice(None, part), slice(-part, None)))
     first, last = (mean / np.linalg.norm(mean, axis=1, keepdims=True) for mean in means)
     moved = np.arccos(np.clip((first * last).sum(axis=1), -1.0, 1.0))
     usable = (moved > _MOVED[0]) & (moved < _MOVED[1])
     if usable.sum() < _LEAST_WINDOWS:
         return None
-    rotation = (
-        (gyro - np.nanmedian(record.gyro, axis=0)).mean(axis=1)[usable] * (size - quarter) / record.sample_rate_hz
-    )
+    turned = (gyro - np.nanmedian(record.gyro, axis=0)).mean(axis=1)[usable] * (size - part) / record.sample_rate_hz
     misses = {}
     for unit, factor in (("rad/s", 1.0), ("dps", RADIAN_PER_DEGREE)):
-        expected = rotate(quaternion_of(-factor * rotation), first[usable])
-        angle = np.arccos(np.clip((expected * last[usable]).sum(axis=1), -1.0, 1.0))
-        misses[unit] = float(np.nanmedian(angle)) / RADIAN_PER_DEGREE
+        expected = rotate(quaternion_of(-factor * turned), first[usable])
+        apart = np.arccos(np.clip((expected * last[usable]).sum(axis=1), -1.0, 1.0))
+        misses[unit] = float(np.nanmedian(apart)) / RADIAN_PER_DEGREE
     best, other = sorted(misses, key=lambda unit: misses[unit])
     if not misses[best] < _CLEARLY * misses[other]:
         return None
@@ -146,21 +130,21 @@ def session_text(
     head = HeadEntry(kind=session.kind, serial=session.serial, gravity_m_s2=None if standard else session.gravity_m_s2)
     blocks = [
         "# Written by undrift info --write-session from the recordings. Correct anything that is wrong.\n"
-        + toml_text({"session": tree_of(head)})
+        + toml_text({"session": head.model_dump()})
     ]
     if standard:
         blocks[0] += (
             "# gravity_m_s2 = ?   # missing: standard gravity is assumed. Enter yours, or latitude_deg and height_m\n"
         )
-    map_keys = {} if file_map is None else json.loads(file_map.text)
+    stated = {} if file_map is None else json.loads(file_map.text)
     for number in range(len(session.records)):
-        names = [os.path.relpath(file, folder) for file in files[number * width : (number + 1) * width]]
-        blocks.append(toml_block("recording", {"file": names[0] if width == 1 else names, **map_keys}))
+        own = [os.path.relpath(file, folder) for file in files[number * width : (number + 1) * width]]
+        blocks.append(toml_block("recording", {"file": own[0] if width == 1 else own, **stated}))
     times = [record.time for record in session.records]
     pieces: list[Still | Turn] = [*session.stills, *session.turns]
-    blocks += [piece_toml(stated_piece(piece, times[piece.recording])) for piece in pieces]
+    blocks += [piece_toml(piece_entry(piece, times[piece.recording])) for piece in pieces]
     for turn in steady:
-        lines = piece_toml(stated_piece(turn, times[turn.recording])).splitlines()
+        lines = piece_toml(piece_entry(turn, times[turn.recording])).splitlines()
         marked = "".join(f"# {line}\n" for line in [*lines, "turn_rate_dps = ?"])
         blocks.append("# a steady turn: state its achieved rate and take the marks away\n" + marked)
     return "\n".join(blocks)

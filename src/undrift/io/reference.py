@@ -5,7 +5,7 @@ All axes of a body are x forward, y left, z up, as a device worn at the back wou
     pelvis   rigid cluster of the four spines (ASIS, PSIS), or of the belt markers at the sides and the back (MWT, BWT);
              origin: middle of the rear pair, y from right to left, x from the rear pair to the front pair
     trunk    the line from mid(PSIS) or the rear belt markers (origin) to C7 is z, x to the front of the pelvis: the
-             trunk's lean is the tilt of its z. Not rigid, because it bends with the spine
+    trunk's lean is the tilt of its z. Not rigid, because it bends with the spine
 
 A cluster is fitted to all of its markers (io/mocap.py). The anatomical axes belong to its mean shape. A frame without
 all markers of the body is a gap, because a fit to fewer markers would jump with skin movement.
@@ -16,26 +16,38 @@ A file of poses may contain several bodies, of which the caller names one. Quate
 body to the laboratory. Zeros, NaN or empty cells mark a lost body.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
+from pydantic import Field
 
 from undrift.arrays import BoolArray, FloatArray
-from undrift.base.codec import Key, read, stored, toml_of
+from undrift.base.codec import toml_of
 from undrift.errors import FileFormatError, InputError
 from undrift.files import read_bytes, write_whole
-from undrift.frames import quaternion_conjugate, quaternion_product, rotate
+from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate
 from undrift.io.arrays import Arrays, table_of_arrays
-from undrift.io.columns import Column, RawTable, TextLayout, naming
+from undrift.io.column_map import (
+    ChannelColumns,
+    Clock,
+    Column,
+    ColumnMap,
+    Finite,
+    TextLayout,
+    TomlTable,
+    naming,
+    read_toml,
+)
+from undrift.io.columns import RawTable, read_time
 from undrift.io.labelled import Sheet, as_utf8
 from undrift.io.mocap import Markers, Up, fit_cluster, level_from, markers_of, pose_from_cluster
 from undrift.io.parquet import read_parquet_table
 from undrift.io.text import Text, open_text, parse_text, write_rows
 from undrift.record import Reference
-from undrift.units import si_factor
+from undrift.units import RADIAN_PER_DEGREE, si_factor
 
 # ---- bodies
 
@@ -52,7 +64,7 @@ ALIASES = {
 _PELVES = (("LASI", "RASI", "LPSI", "RPSI"), ("LMWT", "RMWT", "LBWT", "RBWT"))
 
 # From mid(PSIS), at the level of S2, to the skin over the spinous process of L5, and half a case further back. Assumed:
-# anatomy of an adult, not a measurement; use the measured offset if there is one.
+# anatomy of an adult, no measurement; state the offset that was measured where there is one.
 L5_OFFSET = (-0.02, 0.0, 0.035)
 
 
@@ -60,10 +72,10 @@ L5_OFFSET = (-0.02, 0.0, 0.035)
 class Body:
     """A segment as an anatomical frame in every frame of a recording."""
 
-    # orientation b to n (b: x forward, y left, z up) and position of its origin, m, with NaN for a missing marker
+    # Orientation b to n (b: x forward, y left, z up) and position of its origin, m; NaN where a marker is missing
     reference: Reference
     labels: tuple[str, ...]  # Markers used, as the file calls them
-    residual: float  # root mean square of the residuals of a rigid body, m; 0 for a body made of lines
+    residual: float  # Root mean square of what a rigid body leaves, m; 0 for a body made of lines
 
 
 def find_body(markers: Markers, name: BodyName) -> Body:
@@ -108,31 +120,31 @@ def find_label(markers: Markers, name: str) -> str | None:
     def plain(label: str) -> str:
         return "".join(c for c in label.rsplit(":", 1)[-1].upper() if c not in "._- ")
 
-    labels = {plain(label): label for label in reversed(markers.labels)}
-    return next((labels[alias] for alias in ALIASES.get(name, (name,)) if alias in labels), None)
+    known = {plain(label): label for label in reversed(markers.labels)}
+    return next((known[alias] for alias in ALIASES.get(name, (name,)) if alias in known), None)
 
 
 def _needed(markers: Markers, names: tuple[str, ...], body: str) -> list[str]:
-    labels = [find_label(markers, name) for name in names]
-    missing = [name for name, label in zip(names, labels, strict=True) if label is None]
+    found = [find_label(markers, name) for name in names]
+    missing = [name for name, label in zip(names, found, strict=True) if label is None]
     if missing:
         raise InputError(
             f"{markers.name or 'markers'}: {body}: expected markers {', '.join(names)}, but {', '.join(missing)} "
             f"are missing. Rename the markers, or use a cluster."
         )
-    return [label for label in labels if label is not None]
+    return [label for label in found if label is not None]
 
 
 def _pelvis_labels(markers: Markers) -> list[str]:
-    candidates = (names for names in _PELVES if all(find_label(markers, name) for name in names))
-    return _needed(markers, next(candidates, _PELVES[0]), "pelvis")
+    held = (names for names in _PELVES if all(find_label(markers, name) for name in names))
+    return _needed(markers, next(held, _PELVES[0]), "pelvis")
 
 
 def _pelvis_axes(shape: FloatArray) -> tuple[FloatArray, FloatArray]:
     left_front, right_front, left_rear, right_rear = np.moveaxis(shape, -2, 0)
     rear, front = 0.5 * (left_rear + right_rear), 0.5 * (left_front + right_front)
-    leftward = left_front + left_rear - right_front - right_rear
-    return rear, _axes(up=np.cross(front - rear, leftward), forward=front - rear)
+    left = left_front + left_rear - right_front - right_rear
+    return rear, _axes(up=np.cross(front - rear, left), forward=front - rear)
 
 
 def _axes(*, up: FloatArray, forward: FloatArray) -> FloatArray:
@@ -150,14 +162,14 @@ def _pelvis(markers: Markers) -> Body:
     cluster = fit_cluster(markers, labels)
     origin, turn = _pelvis_axes(cluster.template)
     q_mb = Rotation.from_matrix(turn).as_quat(scalar_first=True)
-    complete = cluster.visible >= len(labels)
+    whole = cluster.visible >= len(labels)
     poses = cluster.reference
     centre = poses.position if poses.position is not None else np.full((len(poses), 3), np.nan)
     return Body(
         reference=Reference(
             time=poses.time,
-            q_nb=np.where(complete[:, None], quaternion_product(poses.q_nb, q_mb), np.nan),
-            position=np.where(complete[:, None], centre + rotate(poses.q_nb, origin), np.nan),
+            q_nb=np.where(whole[:, None], quaternion_product(poses.q_nb, q_mb), np.nan),
+            position=np.where(whole[:, None], centre + rotate(poses.q_nb, origin), np.nan),
             name=f"{markers.name} pelvis".strip(),
         ),
         labels=tuple(labels),
@@ -172,16 +184,13 @@ def _trunk(markers: Markers) -> Body:
     x = markers.pick(labels)
     low, frame = _pelvis_axes(x[:, :4])
     turn = _axes(up=x[:, 4] - low, forward=frame[:, :, 0])
-    visible: BoolArray = np.asarray(np.isfinite(turn).all(axis=(1, 2)))
-    if not visible.any():
+    seen: BoolArray = np.asarray(np.isfinite(turn).all(axis=(1, 2)))
+    if not seen.any():
         raise InputError(f"{markers.name or 'markers'}: trunk: expected frames with all of its markers, got none")
     q = np.full((len(x), 4), np.nan)
-    q[visible] = Rotation.from_matrix(turn[visible]).as_quat(scalar_first=True)
+    q[seen] = Rotation.from_matrix(turn[seen]).as_quat(scalar_first=True)
     poses = Reference(
-        time=markers.time,
-        q_nb=q,
-        position=np.where(visible[:, None], low, np.nan),
-        name=f"{markers.name} trunk".strip(),
+        time=markers.time, q_nb=q, position=np.where(seen[:, None], low, np.nan), name=f"{markers.name} trunk".strip()
     )
     return Body(reference=poses, labels=tuple(labels), residual=0.0)
 
@@ -194,6 +203,7 @@ POSITION = ("pos_x_m", "pos_y_m", "pos_z_m")
 NEARLY_UNIT = 0.01  # devices round, and some scale: such quaternions are made unit, others are refused
 
 
+_ANGLE = {"rad": 1.0, "deg": RADIAN_PER_DEGREE}
 _HALF = 2.0**-0.5
 _LEVELLED = {  # quaternions that turn an axis of the laboratory up, to z
     "x": (_HALF, 0.0, -_HALF, 0.0), "y": (_HALF, _HALF, 0.0, 0.0), "z": (1.0, 0.0, 0.0, 0.0),
@@ -201,53 +211,80 @@ _LEVELLED = {  # quaternions that turn an axis of the laboratory up, to z
 }  # fmt: skip
 
 
-@stored()
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ReferenceMap:
-    """Map of poses in a foreign file. In TOML it has the tables ``columns``, ``units`` and ``layout``."""
+class PoseColumns(TomlTable):
+    """Columns of poses: names in the header, or positions from 0."""
 
-    # columns w, x, y, z, in this order, at any position in the file
-    quaternion: Annotated[tuple[Column, Column, Column, Column], Key("columns.quaternion")] = QUATERNION
-    # time column, required unless ``sample_rate_hz`` is set
-    time: Annotated[Column | None, Key("columns.time")] = None
-    position: Annotated[tuple[Column, Column, Column] | None, Key("columns.position")] = None  # Columns x, y, z
-    # columns x, y, z of three or more markers of a rigid body, in place of a quaternion
-    markers: Annotated[tuple[tuple[Column, Column, Column], ...], Key("columns.markers")] = ()
-    moving: Annotated[Column | None, Key("columns.moving")] = None  # Column that is 1 in motion
-    time_unit: Annotated[str, Key("units.time")] = ""  # units, required if the columns are named
-    position_unit: Annotated[str, Key("units.position")] = ""
-    markers_unit: Annotated[str, Key("units.markers")] = ""
-    sample_rate_hz: float | None = None  # Hz, if there is no time column
+    quaternion: tuple[Column, Column, Column, Column] = QUATERNION  # w, x, y, z, in this order
+    time: Column | None = None  # time column; without it ``sample_rate_hz`` is required
+    position: tuple[Column, Column, Column] | None = None  # x, y, z
+    # columns x, y, z of three or more markers of one rigid body, in place of a quaternion
+    markers: tuple[tuple[Column, Column, Column], ...] = ()
+    matrix: tuple[Column, ...] | str = ()  # nine columns of rotation matrices by rows, or the name of one array (mat)
+    angle: Column | None = None  # angle of an encoder about ``axis``, in place of a quaternion
+    moving: Column | None = None  # column that is 1 in motion
+    counter: Column | None = None  # frame counter, which may wrap; used by a regular clock
+
+
+class ReferenceMap(TomlTable):
+    """Where poses are in a foreign file."""
+
+    columns: PoseColumns = PoseColumns()
+    units: dict[Literal["time", "position", "markers", "angle"], str] = Field(
+        default_factory=dict
+    )  # of the columns that are named
+    sample_rate_hz: float | None = None  # Hz, where there is no time column
     # "body_to_level" as undrift has it, or "level_to_body" for the inverse
     turns: Literal["body_to_level", "level_to_body"] = "body_to_level"
-    up: str = "z"  # Axis of the laboratory that points up: x, y, z, -x, -y or -z
-    repair_time: bool = False  # Leave out rows whose time does not go forward
-    layout: TextLayout = field(default_factory=TextLayout)  # For text files
-
-    def __post_init__(self) -> None:
-        if self.time is None and self.sample_rate_hz is None:
-            raise InputError("reference: expected a time column or sample_rate_hz, got neither. Add one of them.")
-        si_factor(self.time_unit if self.time is not None else "s", "time")
-        si_factor(self.position_unit if self.position is not None else "m", "length")
-        si_factor(self.markers_unit if self.markers else "m", "length")
-        if self.turns not in ("body_to_level", "level_to_body"):
-            raise InputError(f"turns: expected body_to_level or level_to_body, got {self.turns!r}")
-        if self.up not in _LEVELLED:
-            raise InputError(
-                f"up: expected the axis of the laboratory that points up, one of {', '.join(_LEVELLED)}, got {self.up!r}"
-            )
+    up: Literal["x", "y", "z", "-x", "-y", "-z"] = "z"  # axis of the laboratory that points up
+    # axis of the laboratory about which the angle is positive, right-handed; the body's axes are the laboratory's at 0
+    axis: tuple[Finite, Finite, Finite] | None = None
+    repair_time: bool = False  # leave out rows whose time does not go forward
+    clock: Clock = "file"  # "file", or "regular" for stamps of a host: a rate and an offset are fitted to them
+    layout: TextLayout = TextLayout()  # for text files
 
     def wanted(self) -> tuple[Column, ...]:
         """Return all mapped columns."""
-        singles = [() if column is None else (column,) for column in (self.time, self.moving)]
-        bodies = (*self.quaternion, *(self.position or ())) if not self.markers else chain.from_iterable(self.markers)
-        return (*singles[0], *bodies, *singles[1])
+        named = self.columns
+        bodies = chain.from_iterable(named.markers) if named.markers else (*self.pose(), *(named.position or ()))
+        return (*bodies, *(column for column in (named.time, named.moving, named.counter) if column is not None))
+
+    def pose(self) -> tuple[Column, ...]:
+        """Return the columns of the orientation: an angle, nine of a matrix, or four of a quaternion."""
+        named = self.columns
+        if named.angle is not None:
+            return (named.angle,)
+        if isinstance(named.matrix, str):
+            return tuple(f"{named.matrix}[{k}]" for k in range(9))
+        return named.matrix or named.quaternion
+
+    def factor(self, what: Literal["time", "position", "markers"]) -> float:
+        """Return the SI value of one unit of the time, the position or the markers."""
+        return si_factor(self.units.get(what, ""), "time" if what == "time" else "length")
 
 
 def read_reference_map(path: Path) -> ReferenceMap | None:
     """Read a map of orientations. Return None for a map of readings."""
     columns = toml_of(path)[0].get("columns")
-    return read(ReferenceMap, path) if isinstance(columns, dict) and {"quaternion", "markers"} & {*columns} else None
+    if not isinstance(columns, dict) or not {"quaternion", "markers", "matrix", "angle"} & {*columns}:
+        return None
+    how, _ = read_toml(ReferenceMap, path)
+    with naming(path):
+        _check(how)
+    return how
+
+
+def _check(how: ReferenceMap) -> None:
+    if how.columns.time is None and how.sample_rate_hz is None:
+        raise InputError("reference: expected a time column or sample_rate_hz, got neither. Add one of them.")
+    for what in ("time", "position", "markers"):
+        if getattr(how.columns, what):
+            how.factor(what)
+    if how.columns.matrix and len(how.pose()) != 9:
+        raise InputError(f"columns.matrix: expected nine columns, got {len(how.pose())}. Name them row by row.")
+    if how.columns.angle is not None and (how.axis is None or not any(how.axis)):
+        raise InputError("axis: expected the axis of the angle, got none. Write, for example, axis = [0, 0, 1].")
+    if how.columns.angle is not None and how.units.get("angle") not in _ANGLE:
+        raise InputError(f'units.angle: expected "deg" or "rad", got {how.units.get("angle", "none")}. Set the unit.')
 
 
 def read_text_poses(path: Path, columns: ReferenceMap | None = None) -> Reference:
@@ -290,8 +327,8 @@ def write_reference(reference: Reference, path: str | Path) -> None:
     if path.suffix.lower() == ".csv":
         write_rows(path, names, columns)
     elif path.suffix.lower() == ".parquet":
-        table = {name: pa.array(column, from_pandas=True) for name, column in zip(names, columns, strict=True)}
-        write_whole(path, lambda part: pq.write_table(pa.table(table), str(part), use_dictionary=False))
+        held = {name: pa.array(column, from_pandas=True) for name, column in zip(names, columns, strict=True)}
+        write_whole(path, lambda part: pq.write_table(pa.table(held), str(part), use_dictionary=False))
     else:
         raise InputError(f"{path}: expected a name ending in .parquet or .csv. Change the ending.")
 
@@ -300,74 +337,80 @@ def native_reference(names: tuple[str, ...]) -> ReferenceMap | None:
     """Return the map of a table with undrift's own names of poses."""
     if not {"time_s", *QUATERNION} <= set(names):
         return None
-    return ReferenceMap(
-        time="time_s",
-        time_unit="s",
-        position=POSITION if set(POSITION) <= set(names) else None,
-        position_unit="m",
-        moving="moving" if "moving" in names else None,
-    )
+    position, moving = POSITION if set(POSITION) <= set(names) else None, "moving" if "moving" in names else None
+    columns = PoseColumns(time="time_s", position=position, moving=moving)
+    return ReferenceMap(columns=columns, units={"time": "s", "position": "m"})
 
 
 def _native_map(path: Path, names: tuple[str, ...]) -> ReferenceMap:
     found = native_reference(names)
     if found is None:
         raise InputError(
-            f"{path}: expected columns time_s, q_w, q_x, q_y, q_z, got "
-            f"{', '.join(repr(name) for name in names[:12])}. Map them with "
-            'ReferenceMap(time="t", time_unit="s", quaternion=("W", "X", "Y", "Z"))'
+            f"{path}: expected columns time_s, q_w, q_x, q_y, q_z, got {', '.join(repr(name) for name in names[:12])}. "
+            'Map them with columns = { time = "t", quaternion = ["W", "X", "Y", "Z"] } and units = { time = "s" }'
         )
     return found
 
 
-def _poses(table: RawTable, columns: ReferenceMap, path: Path) -> Reference:
-    def read(names: tuple[Column, ...]) -> FloatArray:
-        values = np.stack([table.numbers(name) for name in names], axis=1)
+def _poses(table: RawTable, how: ReferenceMap, path: Path) -> Reference:
+    _check(how)
+    named = how.columns
+    clock = ChannelColumns(time=named.time, counter=named.counter)
+    keys: dict[str, Any] = {key: getattr(how, key) for key in ("sample_rate_hz", "repair_time", "clock")}
+    time, kept, _ = read_time(table, ColumnMap(columns=clock, units={"time": how.units.get("time", "")}, **keys))
+    keep = np.ones(len(table), dtype=np.bool_) if kept is None else kept
+    lost = int((~keep).sum())
+    name = f"{path.name} ({lost} rows left out, whose time does not go forward)" if lost else path.name
+    moving = None if named.moving is None else table.numbers(named.moving)[keep]
+    levelled = np.array(_LEVELLED[how.up])
+
+    def columns(names: tuple[Column, ...]) -> FloatArray:
+        values = np.stack([table.numbers(column) for column in names], axis=1)[keep]
         values[np.isnan(values).any(axis=1)] = np.nan
         return values
 
-    if columns.time is None:
-        # ReferenceMap has checked that the rate is there
-        time: FloatArray = np.arange(len(table)) / (columns.sample_rate_hz or np.nan)
-    else:
-        time = table.numbers(columns.time) * si_factor(columns.time_unit, "time")
-    forward = np.concatenate(([True], time[1:] > np.maximum.accumulate(time)[:-1]))
-    keep = forward if columns.repair_time else np.ones(len(time), dtype=np.bool_)
-    if keep.mean() < 0.5:
-        raise InputError(
-            f"{path}: time column {columns.time!r}: expected time that mostly goes forward, got "
-            f"{int((~keep).sum())} of {len(time)} "
-            "rows to leave out. Check that this is the time column."
-        )
-    if not (forward | np.isnan(time)).all() and not columns.repair_time:
-        raise InputError(
-            f"{path}: time column {columns.time!r}: expected time that goes forward, got {int((~forward).sum())} rows that do not, "
-            f"first row {int(np.argmin(forward)) + 1}. Set repair_time = true in the map to drop them."
-        )
-    moving = None if columns.moving is None else table.numbers(columns.moving)[keep]
-    lost = int((~keep).sum())
-    levelled = np.array(_LEVELLED[columns.up])
-    name = f"{path.name} ({lost} rows left out, whose time does not go forward)" if lost else path.name
     with naming(path):
-        if columns.markers:
-            points = np.stack([read(marker)[keep] for marker in columns.markers], axis=1)
-            points *= si_factor(columns.markers_unit, "length")
-            labels = tuple(str(marker[0]) for marker in columns.markers)
-            markers = markers_of(path, labels, rotate(levelled, points), time[keep], up="z")
+        if named.markers:
+            points = np.stack([columns(marker) for marker in named.markers], axis=1) * how.factor("markers")
+            labels = tuple(str(marker[0]) for marker in named.markers)
+            markers = markers_of(path, labels, rotate(levelled, points), time, up="z")
             poses = pose_from_cluster(markers, markers.labels)
             return replace(poses, moving=moving, name=poses.name.replace(path.name, name))
-        quat = read(columns.quaternion)
-        norm = np.linalg.norm(quat, axis=1)[:, None]
-        quat = np.where(np.abs(norm - 1.0) < NEARLY_UNIT, quat / np.where(norm > 0.0, norm, 1.0), quat)
-        quat = (quat if columns.turns == "body_to_level" else quaternion_conjugate(quat))[keep]
-        length = si_factor(columns.position_unit, "length") if columns.position is not None else 1.0
+        quat = _quaternions(path, columns(how.pose()), how)
+        quat = quat if how.turns == "body_to_level" else quaternion_conjugate(quat)
+        position = named.position and rotate(levelled, columns(named.position) * how.factor("position"))
         return Reference(
-            time=time[keep],
-            q_nb=quat if columns.up == "z" else quaternion_product(levelled, quat),
-            position=None if columns.position is None else rotate(levelled, read(columns.position)[keep] * length),
+            time=time,
+            q_nb=quat if how.up == "z" else quaternion_product(levelled, quat),
+            position=position,
             moving=moving,
             name=name,
         )
+
+
+def _quaternions(path: Path, values: FloatArray, how: ReferenceMap) -> FloatArray:
+    """Return unit quaternions (N, 4) of angles (N, 1), of matrices (N, 9), or of quaternions that are nearly unit."""
+    if values.shape[1] == 9:
+        return of_matrices(path, values)
+    if values.shape[1] == 1:
+        axis = np.array(how.axis) / np.linalg.norm(np.array(how.axis))
+        return quaternion_of(values * _ANGLE[how.units["angle"]] * axis)
+    norm = np.linalg.norm(values, axis=1)[:, None]
+    return np.where(np.abs(norm - 1.0) < NEARLY_UNIT, values / np.where(norm > 0.0, norm, 1.0), values)
+
+
+def of_matrices(path: Path, values: FloatArray) -> FloatArray:
+    """Return the quaternions (N, 4) of rotation matrices (N, 9), by rows; gaps stay gaps."""
+    from scipy.spatial.transform import Rotation
+
+    finite, q_nb = np.isfinite(values).all(axis=1), np.full((len(values), 4), np.nan)
+    matrices = values[finite].reshape(-1, 3, 3)
+    if (np.abs(matrices @ np.swapaxes(matrices, 1, 2) - np.eye(3)) > 2 * NEARLY_UNIT).any() or (
+        np.linalg.det(matrices) < 0.0
+    ).any():
+        raise FileFormatError(f"{path}: the matrices are not rotation matrices. Export orientations again.")
+    q_nb[finite] = Rotation.from_matrix(matrices).as_quat(scalar_first=True)
+    return q_nb
 
 
 # ---- poses of named bodies: OpenSim
@@ -405,17 +448,17 @@ def reference_of(
 ) -> Reference:
     """Return poses in the level frame, lost frames as gaps, time from 0."""
     size = np.linalg.norm(q_nb, axis=1)
-    valid = np.abs(size - 1.0) < NEARLY_UNIT
-    if np.isfinite(size).any() and not valid.any():
+    seen = np.abs(size - 1.0) < NEARLY_UNIT
+    if np.isfinite(size).any() and not seen.any():
         raise FileFormatError(
             f"{path}: expected unit quaternions, got length {np.nanmedian(size):.3g}. Check the export."
         )
-    q_nb = np.where(valid[:, None], q_nb / np.where(valid, size, 1.0)[:, None], np.nan)
+    q_nb = np.where(seen[:, None], q_nb / np.where(seen, size, 1.0)[:, None], np.nan)
     with naming(path):
         return Reference(
             time=time,
             q_nb=quaternion_product(_FROM_Y_UP, q_nb) if up == "y" else q_nb,
-            position=None if position is None else np.where(valid[:, None], level_from(position, up or "z"), np.nan),
+            position=None if position is None else np.where(seen[:, None], level_from(position, up or "z"), np.nan),
             name=f"{path.name} {name}".strip(),
         )
 

@@ -13,8 +13,8 @@ from typing import Any
 from undrift.base import codec
 from undrift.files import write_whole
 from undrift.findings import Finding
+from undrift.io.column_map import ColumnMap, file_map_of
 from undrift.io.imucal import is_imucal, read_imucal
-from undrift.io.session import MapEntry, file_map_of
 from undrift.model import Calibration, Verdict
 from undrift.record import FileMap
 
@@ -22,8 +22,8 @@ KIND = "undrift.calibration"
 ANSWER_KEYS = frozenset({
     "lacking", "motion", "version", "findings", "result", "error",
 })  # fmt: skip
-# entries of ``undrift calibrate --json`` in addition to the calibration
-codec.stored(form=MapEntry, read=file_map_of, write=lambda file_map: json.loads(file_map.text))(FileMap)
+# what ``undrift calibrate --json`` says beside the calibration
+codec.stored(form=ColumnMap, read=file_map_of, write=lambda file_map: json.loads(file_map.text))(FileMap)
 
 
 def write_calibration(calibration: Calibration, path: Path | str) -> None:

@@ -33,43 +33,33 @@ from undrift.files import (
     unwritten,
     write_together,
 )
-from undrift.io.columns import (
-    FORMAT,
-    KIND,
-    READ_SETTINGS,
-    Column,
-    ColumnMap,
-    RawTable,
-    ReadResult,
-    ReadSettings,
-    TextLayout,
-    build_record,
-    find_column,
-    is_number,
-    marks_of,
-    native_columns,
-    native_map,
-    stated,
-)
+from undrift.io.column_map import READ_SETTINGS, Column, ColumnMap, TextLayout, native_map
+from undrift.io.columns import FORMAT, KIND, RawTable, find_column, is_number, marks_of, native_columns, read_marks
 from undrift.record import Record
 
-Provenance: TypeAlias = Mapping[str, Any]  # origin of a record, as JSON
+Provenance: TypeAlias = Mapping[str, Any]  # what a record was made from and by, as JSON
 EMPTY = ["", "NaN", "nan", "NAN", "NA", "N/A", "n/a", "null", "NULL", "None", "-nan", "#N/A"]
 _HEAD = 1 << 20  # bytes at the start
 _NO_LINE_END = "the last row has no line end: it may be cut"
 _PIECE = 1 << 24  # bytes that are parsed at a time
+_LINE = 1 << 12  # bytes of the end in which blank lines are looked for
 _INK = re.compile(rb"\S")
+_BLANK_END = re.compile(rb"(?:\n[ \t\r,;]*)+\Z")  # lines at the end without a cell that is filled
 _NUMBER = r"^[ \t\r]*[-+]?(\d+\.?\d*([eE][-+]?\d+)?|\.\d+([eE][-+]?\d+)?|[iI][nN][fF](inity)?)[ \t\r]*$"
 
 
-def read_csv(path: str | Path, columns: ColumnMap | None = None, settings: ReadSettings = READ_SETTINGS) -> ReadResult:
-    """Read a record from a text table, through a map or with undrift's own names."""
-    text = open_text(path, TextLayout(drop_bad_rows=settings.drop_bad_rows) if columns is None else columns.layout)
-    if columns is None:
-        columns = replace(native_map(text.names, settings, source=str(path)), layout=text.layout)
-        columns = _read_sidecar(Path(path), text.names, columns, settings)
-    result = build_record(parse_text(text, columns.numeric()), columns)
-    return result if _ends_with_line(text) else replace(result, notes=(*result.notes, _NO_LINE_END))
+def read_csv(path: str | Path, how: ColumnMap = READ_SETTINGS) -> RawTable:
+    """Read a text table, by a map or with undrift's own names."""
+    path = Path(path)
+    text = open_text(path, how)
+    own = None if how.columns else native_map(text.names, how, source=str(path))
+    marks = None if own is None else _read_sidecar(path, text.names)
+    table = parse_text(text, (own or how).wanted(numeric=True))
+    notes = () if _ends_with_line(text) else (_NO_LINE_END,)
+    if own is None:
+        return replace(table, notes=notes)
+    own = own if marks is None or how.gaps else own.but(gaps="keep")  # undrift wrote it: an empty cell is a gap
+    return replace(table, notes=notes, own=own, marks=marks or {})
 
 
 def _ends_with_line(text: "Text") -> bool:
@@ -108,32 +98,30 @@ def statement_of(record: Record, path: Path, names: Sequence[str]) -> dict[str, 
     }
 
 
-def _read_sidecar(path: Path, names: Sequence[str], columns: ColumnMap, settings: ReadSettings) -> ColumnMap:
-    """Return the map, completed from the file next to a table of undrift. Return it unchanged if there is no such file."""
+def _read_sidecar(path: Path, names: Sequence[str]) -> dict[str, Any] | None:
+    """Return what the file beside a table of undrift states; None where there is none of undrift."""
     beside = sidecar_of(path)
     if not beside.is_file():
-        return columns
+        return None
     content = read_tree(beside) if beside.stat().st_size else b""
     try:
-        sidecar = json.loads(content)
+        held = json.loads(content)
     except (ValueError, RecursionError):
-        sidecar = None
-    if not isinstance(sidecar, dict) or sidecar.get("kind") != KIND:
+        held = None
+    if not isinstance(held, dict) or held.get("kind") != KIND:
         if b'"undrift.' in content:
             raise FileFormatError(f"{beside}: this JSON file was changed after undrift wrote it. Restore the file.")
-        return columns  # of another program
-    if sidecar.get("format") != FORMAT:
+        return None  # of another program
+    if held.get("format") != FORMAT:
         raise FileFormatError(
-            f"{beside}: expected {KIND} format {FORMAT}, got format {sidecar.get('format')}. Read it with the "
-            f"undrift that wrote it."
+            f"{beside}: expected {KIND} format {FORMAT}, got format {held.get('format')}. Read it with the undrift that wrote it."
         )
-    if [*sidecar.get("columns", ())] != [*names]:
+    if [*held.get("columns", ())] != [*names]:
         raise FileFormatError(
-            f"{beside}: expected the columns of {path.name} ({', '.join(names)}), got {', '.join(sidecar.get('columns', ()))}. "
+            f"{beside}: expected the columns of {path.name} ({', '.join(names)}), got {', '.join(held.get('columns', ()))}. "
             "It belongs to another table. Move it away."
         )
-    columns = replace(columns, gaps=settings.gaps or "keep")  # undrift wrote it: an empty cell is a gap
-    return stated(columns, sidecar, f"{beside}: expected the frame, state and device of a recording, got other keys")
+    return read_marks(held, f"{beside}: expected the frame, state and device of a recording, got other keys")
 
 
 def write_rows(
@@ -147,10 +135,10 @@ def write_rows(
 
     table = _table_of(names, columns)
 
-    def write(target: Path) -> None:
+    def write(part: Path) -> None:
         packs = path.suffix == ".gz"
         with (
-            pa.OSFile(str(target), "wb") as raw,
+            pa.OSFile(str(part), "wb") as raw,
             pa.CompressedOutputStream(raw, "gzip") if packs else nullcontext(raw) as sink,
         ):
             sink.write(f"{','.join(names)}\n".encode())
@@ -168,7 +156,7 @@ def _table_of(names: Sequence[str], columns: Sequence[FloatArray]) -> Any:
 class Appender:
     """Writes lines piece by piece into a new file that is whole after each, whatever ends it."""
 
-    write_every_s = 1.0  # of a record, for a live recording
+    write_every_s = 1.0  # of a record, where it comes live
 
     def __init__(self, path: Path) -> None:
         self.path, self._sink = path, -1
@@ -213,7 +201,7 @@ class Text:
     """A text table, opened and its header read, its rows not parsed yet."""
 
     path: Path
-    content: bytes | None  # unpacked text, or None if Arrow can read the file directly
+    content: bytes | None  # Unpacked text; None when Arrow may read the file itself
     head: bytes  # The first MiB of the text
     names: tuple[str, ...]  # Header, or positions as text
     layout: TextLayout
@@ -243,7 +231,7 @@ def open_text(path: str | Path, layout: TextLayout | None = None) -> Text:
             ) from error
         names = tuple(next(csv.reader([header.strip(" ") if blanks else header], delimiter=layout.delimiter), ()))
         if _is_row(names, layout.decimal):
-            layout = replace(layout, header=False)
+            layout = layout.but(header=False)
     if not layout.header:  # positions, as many as most of the first rows have columns
         counts = [line.count(layout.delimiter.encode()) + 1 for line in lines]
         names = tuple(str(i) for i in range(max(set(counts), key=counts.count)))
@@ -273,7 +261,7 @@ def parse_text(text: Text, wanted: tuple[Column, ...]) -> RawTable:
     try:
         parsed = pa.concat_tables(_pieces(text, start, size, positions), promote_options="permissive")
         return RawTable(source=str(text.path), names=text.names, columns=tuple(parsed.columns))
-    except (pa.ArrowInvalid, pa.ArrowTypeError):  # a bad row, or another column that changes from numbers to text
+    except (pa.ArrowInvalid, pa.ArrowTypeError):  # a bad row, or a column beside that turns from numbers to words
         pass
     return _parse_by_row(text, positions)
 
@@ -288,10 +276,12 @@ def _pieces(text: Text, start: int, size: int, positions: list[int]) -> Iterator
     with text.path.open("rb") if text.content is None else io.BytesIO(text.content) as handle:
         handle.seek(start)
         while end := handle.readinto(buffer):
-            end = buffer.rfind(b"\n", 0, end) + 1 if start + end < size else end  # the remainder begins the next chunk
+            end = buffer.rfind(b"\n", 0, end) + 1 if start + end < size else end  # what follows begins the next piece
             if not end or (buffer.find(b'"', 0, end) >= 0 and _torn(bytes(buffer[:end]).split(b"\n"))):
                 raise pa.ArrowInvalid("rows that do not end, or quotes that do not close")
             start = handle.seek(start + end)
+            if start >= size and (blank := _BLANK_END.search(buffer, max(0, end - _LINE), end)):
+                end = blank.start() + 1
             if _INK.search(buffer, 0, end):
                 yield (table := _parse_rows(text, pa.py_buffer(buffer).slice(0, end), positions))
                 taken += table.nbytes
@@ -349,6 +339,7 @@ def _parse_by_row(text: Text, positions: list[int]) -> RawTable:
 
     text = _with_closed_quotes(text)
     content = text.content if text.content is not None else read_bytes(text.path)
+    content = content[:-_LINE] + _BLANK_END.sub(b"\n", content[-_LINE:])
     content = content.decode("utf-8", "replace").encode()  # damaged bytes are named, not met by Arrow
     ragged: list[Any] = []  # rows with another number of columns
 

@@ -6,7 +6,6 @@ used. Otherwise time is derived from its counter or from the order of the readin
 On a serial port, the usual baud rates are tried until the bytes are text.
 """
 
-import tomllib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +15,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import InputError, RigTimeout
-from undrift.io.guess import example_map
+from undrift.io.guess import propose
 from undrift.io.labelled import label_of, sheet_of
 from undrift.io.log import LineReader, LogLine, cycle_of, find_readings, lines_of, log_text, readings_in
 from undrift.live.clock import DeviceClock
@@ -143,14 +142,14 @@ def description_of(pieces: Pieces, name: str, given_options: dict[str, str]) -> 
         np.concatenate(rows),
         np.repeat([arrived for arrived, _ in pieces], [len(block) for block in rows]),
     )
-    columns_toml, units_toml = example_map(log.names, log_text(Path(name), log), ())[:2]  # as for a file
+    proposal = propose(log.names, log_text(Path(name), log), ())  # as for a file
     columns_of = {
         channel: [
             log.names.index(column) for column in (entry if isinstance(entry, list) else [entry]) if column in log.names
         ]
-        for channel, entry in tomllib.loads(columns_toml)["columns"].items()
+        for channel, entry in proposal.columns.items()
     }
-    units = tomllib.loads(units_toml)["units"]
+    units = dict(proposal.units)
     labels = [label_of(column) for column in log.names]
     for channel in {"mag", "temp"} - columns_of.keys():
         columns = [k for k, label in enumerate(labels) if label and label.unit and label.channel == channel]
@@ -178,8 +177,8 @@ def description_of(pieces: Pieces, name: str, given_options: dict[str, str]) -> 
             for k, axis in zip(columns, ("_x", "_y", "_z") if len(columns) == 3 else ("",), strict=True):
                 channels[k] = f"{channel}{axis}"
     clock, notes = _clock_of(values, arrival_s, channels, TICKS.get(units.get("time", ""), 0.0))
-    reason = units_toml.partition("  # proposed: ")[2]
-    proposed = ", ".join(f"{channel} in {unit}" for channel, unit in units.items() if f"{channel} by " in reason)
+    reason = "; ".join(f"{channel} by {why}" for channel, why in proposal.reasons.items())
+    proposed = ", ".join(f"{channel} in {unit}" for channel, unit in units.items() if channel in proposal.reasons)
     notes += (f"the names do not contain the units, so these are proposed: {proposed} ({reason})",) if reason else ()
     return stream_options | clock | {"channels": ",".join(channels)}, notes
 

@@ -28,7 +28,7 @@ import tomli_w
 from undrift.errors import FileFormatError, InputError
 from undrift.files import errno_of, sha256_of, take_lock, write_whole
 from undrift.io.parquet import write_parquet
-from undrift.io.session import HeadEntry, StillEntry, TurnEntry, sealed, session_toml
+from undrift.io.session import HeadEntry, StillEntry, TurnEntry, in_degrees, sealed, session_toml
 from undrift.programme import Protocol, Purpose, write_protocol
 from undrift.record import Axis, Face, Kind, Record
 
@@ -187,7 +187,8 @@ def session_text(head: Head, pieces: tuple[RecordedDwell, ...]) -> str:
             spans.append(StillEntry(face=piece.up, **span))
         else:
             turn_rate = piece.turn_rate if piece.angle is None else None
-            spans.append(TurnEntry(axis=piece.axis, turn_rate=turn_rate, angle=piece.angle, **span))
+            rate_dps, angle_deg = in_degrees(turn_rate), in_degrees(piece.angle)
+            spans.append(TurnEntry(axis=piece.axis, turn_rate_dps=rate_dps, angle_deg=angle_deg, **span))
     about = HeadEntry(kind=head.kind, serial=head.serial, gravity_m_s2=head.gravity_m_s2)
     session = session_toml(about, [{"file": piece.name, "sha256": piece.sha256} for piece in pieces], spans)
     dwells = [{name: value for name, value in asdict(piece).items() if value is not None} for piece in pieces]

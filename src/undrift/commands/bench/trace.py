@@ -26,8 +26,7 @@ def trace_of(recording: Path, opening: Opening) -> dict[str, Any]:
     Times are in s since the first sample. Readings are [x, y, z] of each sensor, in deg/s and g if the recording has
     physical units.
     """
-    columns, settings = opening.how(recording)
-    session = describe(recording, columns, settings=settings).session
+    session = describe(recording, opening.how(recording)).session
     if session is None or session.means:
         return {}
     observed = look(session, CalibrateSettings())

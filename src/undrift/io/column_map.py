@@ -1,0 +1,345 @@
+"""The column map: all that a reader is told about a file. A class here is its table in TOML; nothing is repeated elsewhere.
+
+A map stands alone in a file, as a [[recording]] of session.toml (with the name of the file), or as JSON in a calibration::
+
+    sample_rate_hz = 102.4
+    columns = { time = "t", gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"], temp = "T" }  # names, or positions from 0
+    units = { time = "s", gyro = "dps", accel = "m/s2", temp = "degC" }
+    scale = { temp = { gain = 0.00294117647, offset = 36.53 } }                          # value = gain * cell + offset
+
+Nothing is guessed: a foreign file needs columns and units. A file with undrift's own column names (``time_s``, ``gyro_x_dps``,
+``accel_y_m_s2``, ``temp_c``, ``mag_z_ut``, ...) needs neither: :func:`native_map` recognises exactly those.
+"""
+
+import itertools
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, TypeAlias, TypeVar
+
+from annotated_types import Ge
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from undrift.arrays import FloatArray
+from undrift.base import codec
+from undrift.errors import FileFormatError, InputError
+from undrift.frames import Frame
+from undrift.record import FileMap
+from undrift.units import DEVICE_UNITS, Quantity, canonical_unit
+
+Column: TypeAlias = str | int
+Columns: TypeAlias = tuple[Column, ...]
+Channel = Literal["time", "gyro", "accel", "temp", "mag"]
+Gaps = Literal["raise", "keep"]
+Clock = Literal["file", "regular"]
+Names: TypeAlias = tuple[str, ...] | list[str]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+CHANNELS: tuple[Channel, ...] = ("time", "gyro", "accel", "temp", "mag")
+QUANTITY: dict[Channel, Quantity] = {"time": "time", "gyro": "rate", "accel": "accel", "temp": "temp", "mag": "mag"}
+AXES = ("x", "y", "z")
+# keys of a map that a file with undrift's own names may need, or one whose format states its columns
+NATIVE_KEYS = {"sample_rate_hz", "sensor", "gaps", "repair_time", "drop_bad_rows", "clock", "temp_file", "leave_out"}
+_SENSOR = {"time": "time", "gyro": "gyroscope", "accel": "accelerometer", "temp": "temperature", "mag": "magnetometer"}
+
+# Ending of a native column name for each unit that a channel may have.
+NATIVE = {
+    "gyro": {"rad/s": "rad_s", "dps": "dps", "count": "count", "v": "v"},
+    "accel": {"m/s2": "m_s2", "g": "g", "mg": "mg", "count": "count", "v": "v"},
+    "mag": {"ut": "ut"},
+}
+
+
+Table = TypeVar("Table", bound="TomlTable")
+
+
+class TomlTable(BaseModel):
+    """A table of a file: unknown keys are an error, and no value is converted."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+    def but(self, **values: Any) -> Self:
+        """Return a copy with other values."""
+        return self.model_copy(update=values)
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelScale:
+    """A linear conversion of a channel: value = gain * cell + offset."""
+
+    # unit of the channel per unit of the file, or three values if the axes differ in scale or sign
+    gain: float | tuple[float, float, float] = 1.0
+    offset: float | tuple[float, float, float] = 0.0  # added afterwards, in the unit of the channel
+
+    def applied(self, cells: FloatArray, axis: int) -> FloatArray:
+        """Return the converted values of an axis."""
+        gain, offset = (x[axis] if isinstance(x, tuple) else x for x in (self.gain, self.offset))
+        return cells if (gain, offset) == (1.0, 0.0) else gain * cells + offset
+
+
+class TextLayout(TomlTable):
+    """Layout of a text table."""
+
+    delimiter: Annotated[str, Field(pattern=r"^[^\r\n]$")] = ","  # one character; " " means one or more blanks or tabs
+    header: bool = True  # true if the first line after the skipped ones names the columns
+    skip_rows: Annotated[int, Ge(0)] = 0  # lines before the header, or before the first row if there is no header
+    decimal: Annotated[str, Field(pattern="^[.,]$")] = "."  # decimal sign, "." or ","
+    # drop and count rows with another number of columns, or with text in place of a number
+    drop_bad_rows: bool = False
+
+
+class TempFile(TextLayout):
+    """A thermometer in a text table of its own; temperatures are interpolated to the samples, and constant beyond its ends."""
+
+    file: str  # text table, next to the map
+    time: Column = "time_s"  # time column, on the recording's clock after the shift
+    temp: Column = "temp_c"  # temperature column
+    time_unit: str = "s"  # any spelling of :mod:`undrift.units`
+    temp_unit: str = "degC"
+    shift_s: Finite = 0.0  # added to the thermometer's time, s
+
+
+class ChannelColumns(TomlTable):
+    """Columns of the channels: names in the header, or positions from 0."""
+
+    time: Column | None = None  # without it ``sample_rate_hz`` is required
+    gyro: Sequence[Column] | str | None = None  # columns x, y, z, or the name of one array (mat)
+    accel: Sequence[Column] | str | None = None
+    temp: Column | None = None
+    mag: Sequence[Column] | str | None = None
+    counter: Column | None = None  # sample counter of the device, which may wrap; used by a regular clock
+
+
+class ColumnMap(TextLayout):
+    """All that a reader needs to know about a file."""
+
+    sample_rate_hz: float | None = None  # Hz, without a default; checked against the time column if there is one
+    columns: ChannelColumns | Sequence[ChannelColumns] | None = None  # one table, or one for each of several files
+    units: dict[Channel, str] = {}  # unit of each channel, any spelling of :mod:`undrift.units`; "date": year first
+    scale: dict[Literal["gyro", "accel", "temp", "mag"], ChannelScale] = {}  # if the numbers are not in those units
+    # "raise" refuses empty cells and NaN, "keep" keeps them as gaps; by default only files that undrift wrote have gaps
+    gaps: Gaps | None = None
+    repair_time: bool = False  # leave out rows whose time does not increase
+    clock: Clock = "file"  # "file", or "regular" for stamps of a host: a rate and an offset are fitted to them
+    # stretches, s on the recording's clock: cut off at its ends, gaps between
+    leave_out: tuple[tuple[Finite, Finite], ...] = ()
+    frame: Frame = "s"  # "s" or "b"
+    device: str = ""  # serial number or name
+    temp_file: TempFile | None = None  # replaces a temperature in the recording
+    sensor: str | None = None  # sensor, stream or topic, in a file of several
+
+    def parts(self) -> tuple["ColumnMap", ...]:
+        """Return a map for each table of columns, that is for each file of one recording."""
+        tables = () if self.columns is None else self.columns
+        return tuple(self.but(columns=table) for table in ([tables] if isinstance(tables, ChannelColumns) else tables))
+
+    def columns_of(self, channel: str) -> Columns:
+        """Return the columns of a channel, or an empty tuple if it has none."""
+        value = getattr(self.columns, channel, None)
+        return () if value is None else (value,) if isinstance(value, str | int) else tuple(value)
+
+    def unit_of(self, channel: Channel) -> str:
+        """Return the unit of a mapped channel in its one spelling."""
+        return canonical_unit(self.units.get(channel, ""), QUANTITY[channel])
+
+    def scale_of(self, channel: str) -> ChannelScale:
+        """Return the conversion of a channel, gain 1 and offset 0 if the map states none."""
+        return next((scale for name, scale in self.scale.items() if name == channel), ChannelScale())
+
+    def mapped(self) -> tuple[Channel, ...]:
+        """Return the channels that have columns."""
+        return tuple(channel for channel in CHANNELS if self.columns_of(channel))
+
+    def wanted(self, *, numeric: bool = False) -> Columns:
+        """Return the columns of all channels and the counter; ``numeric`` leaves out a time of dates."""
+        dated = numeric and self.is_dated()
+        channels = [*CHANNELS[dated:], "counter"]
+        return tuple(column for channel in channels for column in self.columns_of(channel))
+
+    def is_dated(self) -> bool:
+        """Return True if the time column contains dates."""
+        return bool(self.columns_of("time")) and self.unit_of("time") == "date"
+
+    def over(self, own: "ColumnMap") -> "ColumnMap":
+        """Return the map of a file that states its columns, with the keys of this map over it."""
+        given = {key: getattr(self, key) for key in self.model_fields_set & {"gaps", "clock", "sample_rate_hz"}}
+        return own.but(repair_time=self.repair_time or own.repair_time, **given)
+
+    def beside(self, folder: Path) -> Self:
+        """Return the map with the thermometer's file in a folder."""
+        held = self.temp_file
+        return self if held is None else self.but(temp_file=held.but(file=str((folder / held.file).resolve())))
+
+
+READ_SETTINGS = ColumnMap()
+
+
+def map_of_channels(columns: Mapping[str, Any], units: Mapping[Any, str], **keys: Any) -> ColumnMap:
+    """Return the map of some channels: their columns, their units, and other keys of a map."""
+    return ColumnMap(columns=ChannelColumns(**columns), units=dict(units), **keys)
+
+
+@contextmanager
+def naming(source: str | Path) -> Iterator[None]:
+    """Name the file in errors."""
+    try:
+        yield
+    except InputError as error:
+        raise type(error)(f"{source}: {error}" if source else str(error), **error.numbers) from error
+
+
+def check_map(how: ColumnMap) -> None:
+    """Raise InputError if the columns and units of a map do not make a recording."""
+    if not how.columns_of("gyro") and not how.columns_of("accel"):
+        example = 'gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"], temp = "T"'
+        raise InputError(
+            f"columns: expected gyro or accel, got neither. Write, for example, columns = {{ {example} }}."
+        )
+    for channel in how.mapped():
+        _check_channel(how, channel)
+    for one, other in itertools.combinations(CHANNELS, 2):
+        if both := set(how.columns_of(one)) & set(how.columns_of(other)):
+            raise InputError(
+                f"columns: expected other columns for {_SENSOR[one]} than for {_SENSOR[other]}, got {both.pop()!r} mapped as "
+                "both. Name each column once."
+            )
+    if not how.columns_of("time") and how.sample_rate_hz is None:
+        raise InputError("columns: expected a time column or sample_rate_hz, got neither. Add one of them.")
+    if how.sample_rate_hz is not None and not 0.0 < how.sample_rate_hz < 1e7:
+        raise InputError(f"sample_rate_hz: expected Hz above 0, got {how.sample_rate_hz:g}")
+    if how.decimal == how.delimiter:
+        raise InputError(f"decimal: expected '.' or ',' and not the delimiter, got {how.decimal!r}")
+
+
+def _check_channel(how: ColumnMap, channel: Channel) -> None:
+    columns, unit, scale = how.columns_of(channel), how.units.get(channel, ""), how.scale_of(channel)
+    if channel in ("gyro", "accel", "mag") and len(columns) not in (1, 3):
+        raise InputError(f"columns.{channel}: expected three columns x, y, z, got {len(columns)}. Name all three.")
+    if len(set(columns)) != len(columns):
+        raise InputError(
+            f"columns.{channel}: expected three different columns, got {list(columns)}. Name each axis once."
+        )
+    if channel == "temp" and (isinstance(scale.gain, tuple) or isinstance(scale.offset, tuple)):
+        raise InputError(
+            "scale.temp: expected one number for gain and offset, got three. Use one number, "
+            "because a thermometer has one axis."
+        )
+    if not unit:
+        raise InputError(f"units.{channel}: expected the unit of {channel}, got none. Add the unit.")
+    if canonical_unit(unit, QUANTITY[channel]) in DEVICE_UNITS and channel in ("temp", "mag"):
+        physical = "degC" if channel == "temp" else "uT"
+        raise InputError(
+            f"units.{channel}: expected {physical}, got {unit}. Set scale.{channel} (gain and offset to {physical}) "
+            f'and units.{channel} = "{physical}", or omit {channel}.'
+        )
+
+
+# ---- undrift's own names
+
+
+def is_native(names: Names) -> bool:
+    """Return True if a file uses undrift's own names for a gyroscope or an accelerometer."""
+    return any(
+        f"{channel}_{axis}_{suffix}" in names
+        for channel in ("gyro", "accel")
+        for suffix in NATIVE[channel].values()
+        for axis in AXES
+    )
+
+
+def native_map(names: Names, how: ColumnMap = READ_SETTINGS, *, source: str = "") -> ColumnMap:
+    """Return the map of a file that uses undrift's own column names."""
+    columns: dict[str, Any] = {"time": "time_s" if "time_s" in names else None}
+    units: dict[Any, str] = {"time": "s"}
+    with naming(source):
+        for channel, suffixes in NATIVE.items():
+            columns[channel], units[channel] = _native_triple(names, channel, suffixes)
+        if columns["gyro"] is None and columns["accel"] is None:
+            shown = ", ".join(repr(name) for name in names[:12]) or "no columns"
+            more = f", ... ({len(names)} columns)" if len(names) > 12 else ""
+            raise InputError(
+                f"columns: expected names such as gyro_x_dps or accel_x_m_s2, got {shown}{more}. Run undrift info "
+                f"FILE "
+                "--write-map map.toml to propose a map, and name the map with `column_map`."
+            )
+        columns["temp"], units["temp"] = ("temp_c", "degc") if "temp_c" in names else (None, "")
+        native = how.over(map_of_channels(columns, units))
+        check_map(native)
+        return native
+
+
+def _native_triple(names: Names, channel: str, suffixes: Mapping[str, str]) -> tuple[Columns | None, str]:
+    found: list[tuple[Columns, str]] = []
+    for unit, suffix in suffixes.items():
+        triple = tuple(f"{channel}_{axis}_{suffix}" for axis in AXES)
+        here = [name for name in triple if name in names]
+        if here and len(here) < 3:
+            raise InputError(
+                f"columns: expected {', '.join(triple)}, got only {', '.join(here)}. Add the missing axes or map the columns."
+            )
+        found += [(triple, unit)] if here else []
+    if len(found) > 1:
+        raise InputError(
+            f"columns: expected {channel} in one unit, got {found[0][1]} and {found[1][1]}. Map the columns to use."
+        )
+    return found[0] if found else (None, "")
+
+
+# ---- maps in files, in calls and in calibrations
+
+
+def map_of_tree(tree: Mapping[str, Any]) -> ColumnMap:
+    """Return a map of plain values, checked as JSON: strict, and lists are tuples there."""
+    return ColumnMap.model_validate_json(json.dumps(tree, default=str))
+
+
+def read_toml(model: type[Table], path: str | Path) -> tuple[Table, str]:
+    """Return the value of a TOML file, and its text. An error names line and entry."""
+    tree, text = codec.toml_of(path)
+    try:
+        return model.model_validate_json(json.dumps(tree, default=str)), text
+    except ValidationError as error:
+        schema = model.model_json_schema()
+        tables = (schema, *schema.get("$defs", {}).values())
+        keys = frozenset(key for table in tables for key in table.get("properties", ()))
+        raise FileFormatError(f"{path}: {codec.Refused(list(error.errors()), keys).in_toml(text)}") from error
+
+
+def read_map(path: str | Path, **choices: Any) -> ColumnMap:
+    """Return a map in TOML, with the choices of a call over it. A map without columns is for undrift's own names."""
+    how, _ = read_toml(ColumnMap, path)
+    given = how.model_fields_set
+    if not how.columns and (not given or given - NATIVE_KEYS):
+        got = ", ".join(sorted(given - NATIVE_KEYS)) or "no key"
+        raise InputError(
+            f"{path}: expected one table of columns, got 0 and {got}. Add columns = {{ ... }}. A file with "
+            f"undrift's own "
+            f"names needs only {', '.join(sorted(NATIVE_KEYS))}."
+        )
+    how = how.beside(Path(path).parent).but(**{key: value for key, value in choices.items() if value is not None})
+    with naming(path):
+        for part in how.parts():
+            check_map(part)
+    return how
+
+
+def file_map_of(how: ColumnMap, *, without: Sequence[str] = ()) -> FileMap:
+    """Return the keys that a map states as a value that a calibration keeps."""
+    held = how.model_dump(mode="json", exclude_unset=True, exclude=set(without))
+    return FileMap(json.dumps(held, ensure_ascii=False))
+
+
+def map_of(file_map: FileMap | None) -> ColumnMap:
+    """Return the map that a calibration keeps."""
+    return READ_SETTINGS if file_map is None else ColumnMap.model_validate_json(file_map.text)
+
+
+def one_map(how: ColumnMap) -> ColumnMap:
+    """Return the map of one file; raise InputError for a map of several files."""
+    parts = how.parts()
+    if len(parts) > 1:
+        raise InputError(
+            f"expected {len(parts)} files for one recording, got one. Use a map of one file, or list the files in session.toml."
+        )
+    return parts[0] if parts else how
