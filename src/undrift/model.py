@@ -129,8 +129,8 @@ class TriadModel:
     def __post_init__(self) -> None:
         freeze(self, p=len(self.parameters))
         if self.budget is not None:
-            stated, summed = np.diag(self.covariance), (self.budget.uncertainty**2).sum(axis=0)
-            if summed.shape != stated.shape or not np.allclose(summed, stated, rtol=1e-9, atol=0.0):
+            variances, budget_sum = np.diag(self.covariance), (self.budget.uncertainty**2).sum(axis=0)
+            if budget_sum.shape != variances.shape or not np.allclose(budget_sum, variances, rtol=1e-9, atol=0.0):
                 raise InputError(
                     "budget: expected squares that sum to the diagonal of the covariance. Give the correct budget, or none."
                 )

@@ -165,7 +165,7 @@ def test_the_scale_factor_that_is_named_is_the_one_furthest_off_either_way():
     ("scale", "level"), [((1.0, 0.853, 1.0), ["fail"]), ((1.0, 1.0, 0.93), ["warn"]), ((1.03, 0.97, 1.0), [])]
 )
 def test_a_gyroscope_s_scale_is_judged_by_what_data_sheets_allow(scale, level):
-    found = list(check_gyro_scale(np.array(scale) / RADIAN_PER_DEGREE, "dps", 1.0, stated=True))
+    found = list(check_gyro_scale(np.array(scale) / RADIAN_PER_DEGREE, "dps", 1.0, rates_given=True))
     assert [item.level for item in found] == level
     if level == ["fail"]:
         assert found[0].values["off_percent"] == pytest.approx(-14.7)
@@ -175,7 +175,7 @@ def test_a_gyroscope_s_scale_is_judged_by_what_data_sheets_allow(scale, level):
 def test_counts_are_judged_by_the_range_that_16_bit_would_have():
     def levels(per_dps, largest, stated):
         scale = np.full(3, per_dps / RADIAN_PER_DEGREE)
-        return [item.level for item in check_gyro_scale(scale, "count", largest, stated=stated)]
+        return [item.level for item in check_gyro_scale(scale, "count", largest, rates_given=stated)]
 
     assert (levels(16.4, 3000.0, False), levels(16.4, 3000.0, True)) == ([], ["info"])
     assert levels(942.0, 30000.0, False) == ["warn"]  # ends at 35 deg/s
@@ -240,10 +240,10 @@ def test_columns_that_are_exchanged_or_reversed_are_named():
 def test_an_even_exchange_is_right_handed_and_refused_all_the_same():
     ring = rows("+y", "+z", "+x") @ SKEW
     assert np.linalg.det(ring) > 0.0
-    with pytest.raises(Implausible, match=r"\+y, \+z, \+x of the accelerometer axes: ") as caught:
+    with pytest.raises(Implausible, match=r"accelerometer axes \+y, \+z, \+x: ") as caught:
         check_axis_order(ring, "gyro against accel", against="accelerometer")
     assert caught.value.numbers["order"] == "+y, +z, +x"
-    with pytest.raises(Implausible, match=r"\+y, \+z, \+x as stated: .* or the axes or signs of the turns"):
+    with pytest.raises(Implausible, match=r"\+y, \+z, \+x: .* or the axes or signs of the turns"):
         check_axis_order(ring, "rate table", against="turns")
 
 

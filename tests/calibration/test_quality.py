@@ -97,7 +97,7 @@ def test_a_slow_turn_about_the_vertical_shows_in_the_mean_rate_alone():
     thermal = replace(turning, kind="thermal")  # offsets differ between temperatures, and that is what it records
     assert observe(thermal, CalibrateSettings()).findings == ()
     stills = tuple(replace(s, temp_c=20.0 + 10.0 * k) for k, s in enumerate(session.stills))
-    assert check_stills(replace(turning, stills=stills), stills, stated=True) == ()
+    assert check_stills(replace(turning, stills=stills), stills, listed=True) == ()
 
 
 def test_a_recording_in_the_wrong_unit_is_refused_among_found_stills():

@@ -162,7 +162,7 @@ def test_covariance_is_the_scatter_of_many_fits():
 
 
 def test_a_left_handed_or_misstated_gyroscope_is_refused():
-    with pytest.raises(Implausible, match=r"\+x, \+y, -z as stated: column z is reversed, or .* signs of the turns"):
+    with pytest.raises(Implausible, match=r"\+x, \+y, -z: column z is reversed, or .* signs of the turns"):
         fit_rate_table(dwells(k=K @ np.diag([1.0, 1.0, -1.0])))
     degrees = replace(dwells(k=np.eye(3) * 0.5 / DPS), unit="dps")
     with pytest.raises(Implausible, match=r"readings are 2 times too small"):

@@ -240,7 +240,9 @@ def _doubts(observed: Observed, accel: Outcome, gyro: Outcome) -> Iterator[Findi
     if gyro.fit is not None:
         largest = max(float(np.nanmax(np.abs(r.gyro))) for r in observed.session.records if r.gyro is not None)
         rates_given = gyro.method in ("rate-table", "known-rotation")
-        yield from check_gyro_scale(gyro.fit.model.scale_factor, gyro.fit.model.unit_in, largest, stated=rates_given)
+        yield from check_gyro_scale(
+            gyro.fit.model.scale_factor, gyro.fit.model.unit_in, largest, rates_given=rates_given
+        )
     yield from observed.findings
     if gyro.fit is not None:
         yield from offset_drift(observed, float(np.linalg.norm(gyro.fit.model.matrix, 2)))

@@ -49,8 +49,8 @@ def check_axis_order(forward: FloatArray, what: str, *, against: Literal["accele
             f"{columns_text(order)}, or the axes or signs of the turns are wrong" if turns else cause_by_gravity(order)
         )
         raise Implausible(
-            f"{what}: the gyroscope columns x, y, z read turns about {order_text(order)} "
-            f"{'as stated' if turns else 'of the accelerometer axes'}: {cause}. Correct the order or the sign of the columns"
+            f"{what}: the gyroscope columns x, y, z read turns about the "
+            f"{'given' if turns else 'accelerometer'} axes {order_text(order)}: {cause}. Correct the order or the sign of the columns"
             f"{' or of the turns' if turns else ''}.",
             order=order_text(order),
         )
@@ -288,10 +288,10 @@ def check_own_scale(
         )
 
 
-def check_gyro_scale(scale_factor: FloatArray, unit: str, largest: float, *, stated: bool) -> Iterator[Finding]:
+def check_gyro_scale(scale_factor: FloatArray, unit: str, largest: float, *, rates_given: bool) -> Iterator[Finding]:
     """Compare the scale factors (3,) of gyroscopes, reading per rad/s, with their unit, or counts with the ranges of devices.
 
-    Counts cause a warning if no gyroscope has such a small range at 16 bit. Otherwise they cause a note if ``stated`` turns
+    Counts cause a warning if no gyroscope has such a small range at 16 bit. Otherwise they cause a note if the given turns
     are the only source of the scale.
     """
     if is_physical(unit):
@@ -305,10 +305,12 @@ def check_gyro_scale(scale_factor: FloatArray, unit: str, largest: float, *, sta
         return
     per_dps = float(np.median(scale_factor)) * RADIAN_PER_DEGREE
     small = 2.0**15 / per_dps < MIN_RANGE_DPS and largest < 2.0**15
-    if small or stated:
+    if small or rates_given:
         what = f"with {per_dps:.4g} counts per deg/s, readings of 16 bit end at {2.0**15 / per_dps:.4g} deg/s"
         only = (
-            "it depends on the given turns only, and a wrong angle, rate or sample rate changes it: " if stated else ""
+            "it depends on the given turns only, and a wrong angle, rate or sample rate changes it: "
+            if rates_given
+            else ""
         )
         yield finding("gyro.scale_factor", "warn" if small else "info", what=only + what)
 

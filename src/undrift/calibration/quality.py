@@ -42,10 +42,10 @@ SMOOTH_S = 0.1
 # ---- names and readings of pieces
 
 
-def piece_name(session: Session, piece: Still | Turn, number: int, *, what: str = "still", stated: bool = True) -> str:
+def piece_name(session: Session, piece: Still | Turn, number: int, *, what: str = "still", listed: bool = True) -> str:
     """Return the name of a still or turn in messages, with its recording and time."""
     time = session.records[piece.recording].time
-    name = f"[[{what}]] {number + 1}" if stated else f"{what} found"
+    name = f"[[{what}]] {number + 1}" if listed else f"{what} found"
     return f"{name} (recording {piece.recording}, {time[piece.start]:.1f}-{time[piece.stop - 1]:.1f} s)"
 
 
@@ -77,19 +77,19 @@ def piece_temperatures(session: Session, pieces: Sequence[Still | Turn]) -> Floa
 Fault = tuple[float, int, str]
 
 
-def check_stills(session: Session, stills: tuple[Still, ...], *, stated: bool) -> tuple[Finding, ...]:
+def check_stills(session: Session, stills: tuple[Still, ...], *, listed: bool) -> tuple[Finding, ...]:
     """Compare every still with a device at rest. Raise if a still is far from rest."""
     figures = [*_rates(session, stills)]
-    if stated:
+    if listed:
         figures += [*_sway(session, stills, "gyro"), *_sway(session, stills, "accel"), *_tilts(session, stills)]
     faults = [fault for fault in figures if fault[0] > 1.0]
     if not faults:
         return ()
     ratio, number, what = max(faults)
-    name = piece_name(session, stills[number], number, stated=stated)
+    name = piece_name(session, stills[number], number, listed=listed)
     moving = finding("session.piece", "warn", piece=name, pieces=len({still for _, still, _ in faults}), what=what)
     # Stills detected in a single recording may drift during warm-up. Separate recordings may have different units.
-    if ratio > REFUSED_RATIO and (stated or len(session.records) > 1):
+    if ratio > REFUSED_RATIO and (listed or len(session.records) > 1):
         raise Implausible(f"{name}: expected a device at rest, got {what}; {moving.action}", still=number)
     return (moving,)
 
@@ -292,7 +292,7 @@ def check_accel(session: Session, model: TriadModel, unused: Sequence[Still]) ->
     if rms > WARN_MISS and misses:
         what = (
             f"{len(stills)} other rests miss gravity by {rms:.2g} m/s2 rms, {misses} of them by more than the "
-            f"uncertainty, the worst by {miss[worst]:+.2g} m/s2: {piece_name(session, stills[worst], worst, stated=False)}"
+            f"uncertainty, the worst by {miss[worst]:+.2g} m/s2: {piece_name(session, stills[worst], worst, listed=False)}"
         )
         level: Level = "fail" if rms > FAIL_MISS and misses >= MIN_MISSES else "warn"
         yield finding("accel.implausible", level, what=what, stills=len(stills), beyond=misses, rms_m_s2=rms)

@@ -349,7 +349,7 @@ def observe(session: Session, settings: CalibrateSettings) -> Observed:
         if rests and record.accel is not None and is_physical(record.accel_unit):
             force = segments.still_means(record.accel, rests) * si_factor(record.accel_unit, "accel")
             check_gravity(force, session.gravity_m_s2)
-    findings += check_stills(session, stills, stated=not observed.found)
+    findings += check_stills(session, stills, listed=not observed.found)
     findings += check_turns(session, stills, settings.settle_s)
     return replace(observed, findings=tuple(findings)).with_turns()
 

@@ -244,7 +244,7 @@ def _mistakes(windows: _Windows, record: Record) -> Iterator[Mistake]:
             if candidates[1:]
             else ""
         )
-        text = f"{cause_by_gravity(reads)} (they read turns about {order_text(reads)} of the accelerometer axes{alternatives})"
+        text = f"{cause_by_gravity(reads)} (they read turns about the accelerometer axes {order_text(reads)}{alternatives})"
         yield Mistake(text=text, action="correct the order or the sign of the columns", kept=residuals[best])
     yield from _scale_mistake(windows, record)
 

@@ -372,7 +372,7 @@ def fit_huber(
     reading: FloatArray,
     *,
     together: int = 1,
-    to_sigma: float = 1.4826,
+    mad_factor: float = 1.4826,
     passes: int = 15,
     prior: int = 0,
 ) -> tuple[FloatArray, FloatArray, float]:
@@ -387,7 +387,7 @@ def fit_huber(
         previous = x
         x = np.linalg.solve((scaled.T * weight) @ scaled, scaled.T @ (weight * reading))
         size = np.sqrt(((reading - scaled @ x) ** 2).reshape(-1, together).mean(axis=1))
-        scale = to_sigma * float(np.median(size[: len(size) - prior]))
+        scale = mad_factor * float(np.median(size[: len(size) - prior]))
         weight = np.repeat(huber_weight(size, scale), together) if scale > 0.0 else weight
         weight[len(weight) - prior :] = 1.0
         if np.abs(x - previous).max() <= 1e-9 * max(float(np.abs(x).max()), 1e-12):

@@ -228,7 +228,7 @@ def _solve(rows: Sequence[AccelRows]) -> tuple[FloatArray, FloatArray, float]:
             seconds=len(blocks),
         )
     condition = full_rank(design, "accel fit")
-    x, weight, _ = fit_huber(design, force, together=3, to_sigma=1.0, passes=10)
+    x, weight, _ = fit_huber(design, force, together=3, mad_factor=1.0, passes=10)
     length = np.linalg.norm(design, axis=0)
     weighted = (design / length).T * weight
     bread: FloatArray = np.linalg.inv(weighted @ (design / length))
