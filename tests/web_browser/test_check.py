@@ -115,7 +115,7 @@ def test_the_sign_of_a_column_is_chosen_and_its_map_has_it(
     complaints = dropped(page, tmp_path / "log.csv")
     page.get_by_label("Unit of the gyroscopes").select_option("dps")
     page.get_by_label("Unit of the accelerometers").select_option("g")
-    disagree = page.get_by_text("accelerometer column x is (they read turns about +x, -y, -z")
+    disagree = page.get_by_text("accelerometer column x is (they read turns about the accelerometer axes +x, -y, -z")
     expect(disagree).to_be_visible()
     page.get_by_text("Columns", exact=True).click()
     page.get_by_label("Sign of accelerometers x").select_option("-")

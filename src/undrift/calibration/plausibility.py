@@ -50,8 +50,8 @@ def check_axis_order(forward: FloatArray, what: str, *, against: Literal["accele
         )
         raise Implausible(
             f"{what}: the gyroscope columns x, y, z read turns about the "
-            f"{'given' if turns else 'accelerometer'} axes {order_text(order)}: {cause}. Correct the order or the sign of the columns"
-            f"{' or of the turns' if turns else ''}.",
+            f"{'given' if turns else 'accelerometer'} axes {order_text(order)}: {cause}. "
+            f"Correct the order or the sign of the columns{' or of the turns' if turns else ''}.",
             order=order_text(order),
         )
 
