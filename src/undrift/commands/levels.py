@@ -83,20 +83,22 @@ def _errors_section(table: "LevelTable", group: str) -> Section:
         label = label_of(table, summary.level, summary.method)
         rows.append((label, f"{summary.people} ({summary.trials})", number(summary.mean_deg), *cells))
     heads = ["level", "people (trials)", "error (deg)", "95 %", "less than above", "rated"]
-    text = [
-        f"{table.quantity.capitalize()} error, root mean square over the motion, mean over people. From three people on, each "
-        f"level is compared with the level above it: better, equivalent or worse by {table.margin_deg:g} deg, at 5 % over all "
-        "levels."
-    ]
+    text = [f"{table.quantity.capitalize()} error, root mean square over the motion, mean over people."]
+    if any(summary.decision for summary in table.summaries):
+        text.append(
+            f"From three people on, each level is compared with the level above it: better, equivalent or worse by "
+            f"{table.margin_deg:g} deg, at 5 % over all levels."
+        )
     if group == "all":
         heads += ["simulated", "differs by"]
-        text.append(
-            "Simulated: a device that errs exactly as its calibration says, in the same motion. Differs by: largest difference "
-            "between the actual and the simulated error at any time."
-        )
-        text += dict.fromkeys(
-            f"{label_of(table, row.level, row.method)}: {row.missing}" for row in table.errors if row.missing
-        )
+        if any(np.isfinite(errors.difference_deg).any() for errors in table.errors):
+            text.append(
+                "Simulated: a device that errs exactly as its calibration says, in the same motion. Differs by: largest "
+                "difference between the actual and the simulated error at any time."
+            )
+        for reason in dict.fromkeys(errors.missing for errors in table.errors if errors.missing):
+            levels = (label_of(table, x.level, x.method) for x in table.errors if x.missing == reason)
+            text.append(f"{'; '.join(levels)}: {reason}")
     title = "Levels of correction" if group == "all" else f"Levels of correction, {group}"
     told = [k for k in range(len(heads)) if any(row[k] != EMPTY for row in rows)]
     return Section(
