@@ -63,23 +63,6 @@ def add_drift(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")  # not contracted: the same bits on any machine
-def mean_codes(
-    level: FloatArray, normals: FloatArray, row: IntArray, kind: IntArray, bias: FloatArray, sd: FloatArray, out: FloatArray
-) -> None:  # fmt: skip
-    # out (N, 3): means of rounded noisy readings about a level (N, 3), in codes. bias and sd (U, 3, M) of U kinds of dwells,
-    # kind (N,), are linear over the fraction of a code. The last normal number is the error of the mean.
-    cells = bias.shape[2] - 1
-    for j in range(level.shape[0]):
-        for i in range(3):
-            x, b, s = level[j, i], bias[kind[j], i], sd[kind[j], i]
-            place = (x - np.floor(x)) * cells
-            cell = min(int(place), cells - 1)
-            fraction = place - cell
-            spread = s[cell] + fraction * (s[cell + 1] - s[cell])
-            out[j, i] = x + b[cell] + fraction * (b[cell + 1] - b[cell]) + spread * normals[row[j], i, -1]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")  # not contracted: the same bits on any machine
 def add_process(
     draws: FloatArray, keep: float, fresh: float, stationary: bool, sd: FloatArray, state: FloatArray, out: FloatArray
 ) -> None:
