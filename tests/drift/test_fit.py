@@ -14,6 +14,7 @@ import pytest
 
 from testkit.data import show
 from testkit.rate_steps import GRID, SOAKS, computed
+from testkit.soaks import a_record_for_each_visit, without_temperature
 from undrift.commands.drift import drift_summary
 from undrift.correction.correct import correct, correct_checked
 from undrift.drift.fit import (
@@ -44,6 +45,7 @@ BENCH = BenchSettings(sample_rate_hz=50.0, still_s=6.0, move_s=1.0, turn_rates=R
 QUICK_SOAKS = ThermalSettings(
     bench=BENCH, chamber=QUICK, set_points_c=(18.0, 28.0, 38.0, 47.0, 57.0, 66.0, 75.0), back=True
 )
+POINTS_C = QUICK_SOAKS.set_points_c + QUICK_SOAKS.set_points_c[::-1]
 DEVICE = preset("enc03j_3031")
 CALIBRATION = true_calibration(DEVICE)
 SHIFT_DPS = 0.2
@@ -117,7 +119,7 @@ def test_a_log_can_be_corrected_with_the_tables_it_gave_by_its_noisy_readings():
 
 
 def test_a_session_in_a_record_for_each_soak_gives_the_same_tables(fit):
-    many = made(settings=replace(QUICK_SOAKS, one_record=False))
+    many = a_record_for_each_visit(made())
     assert len(many.records) > 5
     split = fit_drift([many], CALIBRATION).calibration.drift.static
     whole = fit.calibration.drift.static
@@ -128,7 +130,7 @@ def test_a_session_in_a_record_for_each_soak_gives_the_same_tables(fit):
 
 
 def test_set_points_alone_make_tables_with_the_finding_that_a_column_is_needed(session):
-    stated = made(settings=replace(QUICK_SOAKS, drop_temperature=True))
+    stated = without_temperature(made(), POINTS_C)
     points = fit_drift([stated], CALIBRATION)
     assert points.verdict.status == "marginal"
     codes = [item.code for item in points.verdict.findings]
@@ -172,7 +174,7 @@ def test_a_warm_up_is_fitted_where_it_is_asked_for():
 def test_a_lag_that_is_stated_comes_with_the_smoothing_that_it_needs(session):
     stated = DriftSettings(lag_s=20.0)
     column = fit_drift([session], CALIBRATION, settings=stated)
-    points = fit_drift([made(settings=replace(QUICK_SOAKS, drop_temperature=True))], CALIBRATION, settings=stated)
+    points = fit_drift([without_temperature(made(), POINTS_C)], CALIBRATION, settings=stated)
     for fitted in (column, points):
         drift = fitted.calibration.drift
         assert drift.lag_s == 20.0

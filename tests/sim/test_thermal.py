@@ -69,29 +69,6 @@ def test_the_hysteresis_of_a_visit_on_the_way_down_is_the_other_one() -> None:
     np.testing.assert_allclose(loop / amplitude, [0.0, -1.0, -1.0, -1.0, 1.0, 1.0], atol=0.1)
 
 
-def test_labels_say_set_points_where_there_is_no_temperature() -> None:
-    told = simulate_thermal_session("soak", quiet(), rng=rng(), settings=SHORT)
-    assert told.kind == "thermal"
-    assert told.records[0].temp_c is not None
-    assert {piece.temp_c for piece in (*told.stills, *told.turns)} == {None}
-    untold = simulate_thermal_session("soak", quiet(), rng=rng(), settings=replace(SHORT, drop_temperature=True))
-    assert untold.records[0].temp_c is None
-    assert [turn.temp_c for turn in untold.turns[::12]] == [20.0, 35.0, 50.0]
-    assert [still.temp_c for still in untold.stills] == [20.0] * 4 + [35.0] * 4 + [50.0] * 4
-
-
-def test_each_set_point_may_have_a_record_of_its_own() -> None:
-    one = simulate_thermal_session("soak", quiet(), rng=rng(), settings=SHORT)
-    many = simulate_thermal_session("soak", quiet(), rng=rng(), settings=replace(SHORT, one_record=False))
-    assert len(many.records) == 3
-    np.testing.assert_array_equal(np.concatenate([r.gyro for r in many.records]), one.records[0].gyro)  # type: ignore[arg-type,misc]
-    last = many.turns[-1]
-    assert last.recording == 2
-    np.testing.assert_array_equal(
-        many.records[2].time[last.start : last.stop], one.records[0].time[one.turns[-1].start : one.turns[-1].stop]
-    )
-
-
 def test_six_faces_show_gravity_at_each_temperature() -> None:
     device = settled()
     six = simulate_thermal_session("soak", device, rng=rng(), settings=replace(SHORT, faces="six"))
