@@ -105,7 +105,7 @@ def test_every_trial_runs_through_the_device_of_the_note(trial):
     model = preset("enc03j_3031")
     said = simulate_device(model, motion, rng=np.random.default_rng(7))
     # In the input's unit, and the scale of this device (10 % off) taken out: what is left is delay, offset, noise and drift.
-    read_back = said.gyro.true + sum(part.value for part in said.gyro.contributions)
+    read_back = said.gyro.true + sum(said.gyro.contributions.values())
     true, pitch = said.gyro.true[:, 1], np.linalg.solve(model.gyro.scale.matrix, read_back.T)[1]
     stop = len(true) - 60
     lag = int(np.argmax([true[:stop] @ pitch[k : stop + k] for k in range(60)]))

@@ -56,8 +56,8 @@ DEVICE = DeviceModel(
         unit="dps",
         scale=Scale(
             nominal_sensitivity=1.0 / DPS,
-            error=np.diag(GAIN) - 1.0,
-            cross_axis=GAIN / np.diag(GAIN) - np.eye(3),
+            error=np.linalg.norm(GAIN, axis=1) - 1.0,
+            axes=GAIN / np.linalg.norm(GAIN, axis=1, keepdims=True),
         ),
         offset=Offset(constant=OFFSET * DPS),
         white_noise=WhiteNoise(random_walk=np.full(3, NOISE_DPS * DPS / math.sqrt(RATE_HZ))),

@@ -233,7 +233,7 @@ def _moved(motion: str, model: "DeviceModel", output: Path, simulated: "Simulate
         ("accelerometer", "accel_m_s2", "m/s2", 1.0, simulated.accel),
     ):
         saturated = int(triad.saturated.any(axis=1).sum())
-        rms = {c.effect: np.sqrt(np.nanmean(c.value**2, axis=0)) for c in triad.contributions}
+        rms = {effect: np.sqrt(np.nanmean(value**2, axis=0)) for effect, value in triad.contributions.items()}
         figures[key] = {"saturated_samples": saturated, "contribution_rms": rms}
         text += [f"warning: {name} saturated in {saturated} samples"] if saturated else []
         for effect, value in rms.items():

@@ -80,7 +80,7 @@ _OFFSET = {
     "instability": ("instability",), "random_walk": ("bias_walk",),
 }  # fmt: skip
 _SCALE = {
-    "scale": ("error", "cross_axis"), "thermal_scale": ("per_k",), "nonlinearity": ("quadratic", "cubic", "asymmetry"),
+    "scale": ("error",), "thermal_scale": ("per_k",), "nonlinearity": ("quadratic",),
     "rate_drift": ("coefficients",),
 }  # fmt: skip
 

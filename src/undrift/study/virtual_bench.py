@@ -196,9 +196,7 @@ def compare_with_truth(fit: BenchFit, trials: tuple[Trial, ...], device: DeviceM
     nodes = tables.static.temp_c
     covered = (nodes >= summary.seen_c[0]) & (nodes <= summary.seen_c[1])
     thermometer = device.thermometer  # settled: from its reading to the temperature of the board
-    board = (nodes[covered] - thermometer.trim_error_c + 25.0 * thermometer.slope_error) / (
-        1.0 + thermometer.slope_error
-    ) - thermometer.self_heating_c
+    board = nodes[covered] - thermometer.trim_error_c - thermometer.self_heating_c
     warm = true_tables(device, board, np.array([-1.0, 0.0, 1.0]))
     rows = []
     for name, one, other in (("accelerometers", estimate.accel, true.accel), ("gyroscopes", estimate.gyro, true.gyro)):

@@ -38,9 +38,7 @@ def read_in_pieces(device, scene, mean_rate, cuts, seed=4):
 def situation(kind, seed=1):
     rng = np.random.default_rng(seed)
     device = random_device(rng, grade="consumer") if kind == "consumer" else preset(kind)
-    device = replace(
-        device, thermometer=Thermometer(lag_s=20.0, trim_error_c=0.4, slope_error=0.01, self_heating_c=0.5)
-    )
+    device = replace(device, thermometer=Thermometer(lag_s=20.0, trim_error_c=0.4, self_heating_c=0.5))
     device = replace(device, sampling=replace(device.sampling, sample_rate_hz=None, clock_error=0.0, jitter_s=0.0))
     device = replace(
         device,

@@ -23,12 +23,11 @@ def test_a_device_reads_back_as_it_was_written(name: str, tmp_path: Path) -> Non
     assert not list(tmp_path.glob(".*"))
 
 
-def test_keys_say_their_units() -> None:
-    made = device_json(preset("enc03j_3031"))
-    assert made["gyro"]["scale"]["nominal_sensitivity_v_per_rad_s"] == pytest.approx(0.67e-3 * 180.0 / np.pi)
-    assert "constant_m_s2" in made["accel"]["offset"]
-    assert made["gyro"]["adc"]["reference_v"] == 5.0
-    assert "nominal_sensitivity_count_per_rad_s" in device_json(preset("bmi160"))["gyro"]["scale"]
+def test_keys_are_the_names_of_the_fields_in_si_units() -> None:
+    device = device_json(preset("enc03j_3031"))
+    assert device["gyro"]["scale"]["nominal_sensitivity"] == pytest.approx(0.67e-3 * 180.0 / np.pi)
+    assert device["gyro"]["adc"]["reference"] == 5.0
+    assert device["accel"]["warm_up"] is None
 
 
 def test_infinite_rails_are_words(tmp_path: Path) -> None:
@@ -47,25 +46,17 @@ def changed(change: Callable[[Any], object]) -> Any:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda c: c.update(kind="undrift.calibration"), "expected kind 'undrift.device', got 'undrift.calibration'"),
-        (lambda c: c.update(format=2), "expected format 1, got 2"),
-        (lambda c: c.pop("gyro"), "device.gyro: expected the keys of format 1, got it missing"),
-        (
-            lambda c: c["gyro"].update(colour="red"),
-            "device.gyro.colour: expected the keys of format 1, got an unknown key",
-        ),
-        (lambda c: c["gyro"].update(scale=3), "device.gyro.scale: expected an object, got int"),
-        (lambda c: c["gyro"]["scale"].update(error=3), "device.gyro.scale.error: expected an array, got 3"),
-        (lambda c: c["gyro"]["scale"].update(error=[1.0]), r"Scale.error: expected shape \(3,\), got \(1,\)"),
-        (
-            lambda c: c["gyro"]["amplifier"].update(gain="big"),
-            "device.gyro.amplifier.gain: expected a number, got 'big'",
-        ),
-        (lambda c: c["gyro"]["adc"].update(bits=12.5), "device.gyro.adc.bits: expected int, got 12.5"),
-        (
-            lambda c: c["gyro"]["adc"].update(rounding="up"),
-            "Adc.rounding: must be one of nearest, floor, toward_zero, got 'up'",
-        ),
+        (lambda c: c.update(kind="undrift.calibration"), "wanted kind 'undrift.device', got 'undrift.calibration'"),
+        (lambda c: c.update(format=2), "wanted format 1, got 2; read it with the undrift that wrote it"),
+        (lambda c: c.pop("gyro"), "at gyro: "),
+        (lambda c: c["gyro"].update(colour="red"), "at gyro.colour: "),
+        (lambda c: c["gyro"].update(scale=3), "at gyro.scale: "),
+        (lambda c: c["gyro"]["scale"].update(error=3), "at gyro.scale.error: "),
+        (lambda c: c["gyro"]["scale"].update(error=[1.0]), "at gyro.scale.error: "),
+        (lambda c: c["gyro"]["amplifier"].update(gain="big"), "at gyro.amplifier.gain: "),
+        (lambda c: c["gyro"]["adc"].update(bits=12.5), "at gyro.adc.bits: "),
+        (lambda c: c["gyro"]["adc"].update(bits=0), "Adc.bits: must be 1 or more, got 0"),
+        (lambda c: c["gyro"]["adc"].update(rounding="up"), "at gyro.adc.rounding: "),
     ],
 )
 def test_a_file_that_is_not_a_device_of_this_format_is_refused(

@@ -55,9 +55,9 @@ def test_truth_and_contributions_add_up_to_the_reading() -> None:
             (device.gyro, made.gyro, made.record.gyro),
             (device.accel, made.accel, made.record.accel),
         ):
-            total = triad.true + sum(c.value for c in triad.contributions)
+            total = triad.true + sum(triad.contributions.values())
             np.testing.assert_allclose(total, (reading - model.null) / model.gain, atol=1e-11)  # type: ignore[operator]
-        names = [c.effect for c in made.gyro.contributions]
+        names = list(made.gyro.contributions)
         assert names[:3] == ["scale", "g_sensitivity", "offset"]
         assert names[-1] == "adc"
         assert not made.gyro.of("warm_up").any()

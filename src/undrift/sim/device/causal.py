@@ -9,41 +9,40 @@ from dataclasses import replace
 import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
-from undrift.sim.device.effects import Past, Scene, converted
+from undrift.sim.device.effects import Past, Scene
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import draw_streams
 
+# Surroundings at times (n,), s, with the step before each: rate, angular acceleration, force, mean rate over the step (n, 3), and
+# the temperature of the board (n,)
+Seen = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
+Surroundings = Callable[[FloatArray, float], Seen]
+
 
 class CausalDevice:
-    """A device that is read as time goes on: what its effects remember is carried from one chunk to the next."""
+    """A device that is read as time goes on: the state of its effects is carried from one chunk to the next."""
 
     def __init__(self, device: DeviceModel, step_s: float, rng: np.random.Generator) -> None:
         streams = draw_streams(rng)
         self.device, self._step = device, step_s
-        self._chains = [
-            (chain, streams.pasts(chain, name)) for chain, name in ((device.gyro, "gyro"), (device.accel, "accel"))
-        ]
-        for chain, pasts in self._chains:
-            if chain.instability:
+        self._pasts = {name: streams.pasts(getattr(device, name), name) for name in ("gyro", "accel")}
+        for name, pasts in self._pasts.items():
+            if flicker := getattr(device, name).instability:
                 past = pasts["instability"]
-                past.state = past.rng.standard_normal((len(chain.instability.time_constants_s), 3))
+                past.state = past.rng.standard_normal((len(flicker.time_constants_s), 3))
         self._thermometer = Past(streams.of("thermometer"))
 
     def read(self, scene: Scene, mean_rate_b: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the next readings of gyroscopes, accelerometers (n, 3) and thermometer (n,): mean_rate_b (n, 3) rad/s."""
-        averaging, thermometer = self.device.sampling.gyro_averaging == "interval", self.device.thermometer
-        scene, read = replace(scene, step_s=self._step), []
-        moved = (mean_rate_b if averaging else scene.rate_b, scene.force_b)
-        for (chain, pasts), x in zip(self._chains, moved, strict=True):
-            *_, (_, felt) = chain.stages(x, scene, pasts)
-            read.append(converted(chain.reading(felt), chain.adc)[0] if chain.adc else chain.reading(felt))
-        return read[0], read[1], thermometer.shown(thermometer.felt(scene, self._thermometer), self._thermometer.rng)
-
-
-# At moments (n,) s, with the step before each: rate, angular acceleration, force, mean rate over the step (n, 3), and the
-# temperature of the board (n,)
-Seen = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
-Surroundings = Callable[[FloatArray, float], Seen]
+        device, scene = self.device, replace(scene, step_s=self._step)
+        rate = mean_rate_b if device.sampling.gyro_averaging == "interval" else scene.rate_b
+        readings = []
+        for name, true in (("gyro", rate), ("accel", scene.force_b)):
+            chain = getattr(device, name)
+            *_, (_, x) = chain.stages(true, scene, self._pasts[name])
+            readings.append(chain.converted(x)[0])
+        felt_c = device.thermometer.felt(scene, self._thermometer)
+        return readings[0], readings[1], device.thermometer.shown(felt_c, self._thermometer.rng)
 
 
 class SimulatedDevice:
@@ -65,12 +64,12 @@ class SimulatedDevice:
             return counts, np.empty((0, 7))
         self._next = int(counts[-1]) + 1
         times = np.minimum(counts * self.step_s, now)
-        rate, acceleration, force, mean_rate, temp = self._surroundings(times, self.step_s)
+        rate, acceleration, force, mean_rate, temp_c = self._surroundings(times, self.step_s)
         scene = Scene(
             time=times,
             step_s=self.step_s,
-            temp_c=temp,
-            warmth=temp - self.model.reference_temp_c,
+            temp_c=temp_c,
+            warmth=temp_c - self.model.reference_temp_c,
             age_s=times + self._power_on_s,
             rate_b=rate,
             angular_acceleration_b=acceleration,

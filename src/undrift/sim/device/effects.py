@@ -7,9 +7,9 @@
 
 An effect that is None is switched off. Up to the low-pass, signals are in nominal input units (rad/s, m/s2), which is the output
 divided by the nominal sensitivity. Without noise and non-linearity, at the reference temperature, the reading is
-``u = S (C x + o) + null`` with S the gain of the whole chain and C the scale's matrix. D is the temperature above reference. Every
-field has a unit, which is part of its key in files: ``{x}`` is the unit of the measured quantity (rad_s or m_s2), ``{out}`` the
-unit of the output (v, count, dps, g ...). Signals are arrays of shape (N, 3), with a column per channel.
+``u = S (C x + o) + null`` with S the gain of the whole chain and C the scale's matrix. D is the temperature above reference.
+Parameters are in SI units. Signals are arrays of shape (N, 3), with a column per channel, and so are the parameters: a scalar
+applies to all three channels.
 
 References
 ----------
@@ -22,123 +22,69 @@ References
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import MISSING, dataclass, field, fields, replace
-from functools import lru_cache
-from typing import Any, Literal, get_args
+from dataclasses import dataclass, field, fields, replace
+from functools import cache, lru_cache
+from typing import Annotated, Any, Literal, dataclass_transform, get_args, get_type_hints
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, frozen
-from undrift.errors import InputError
+from undrift.arrays import BoolArray, FloatArray, Shape, freeze
+from undrift.base.codec import AnyNumber, stored
+from undrift.errors import InputError, check_choices
 from undrift.frames import cross
 from undrift.sim.motion.motion import Motion
 
-# ---- Fields with a unit.
+# ---- parameters
 
-Shape = tuple[int | None, ...]
+Triple = Annotated[FloatArray, Shape(3)]  # a value per channel, (3,)
+Square = Annotated[FloatArray, Shape(3, 3)]
+Powers = Annotated[FloatArray, Shape("k", 3)]  # a row per power of D, from the first
+ZERO: Any = 0.0  # of all three channels
 
 
-def quantity(
-    unit: str = "", shape: Shape | None = None, default: Any = MISSING, *, least: float | None = None, of: Any = None
-) -> Any:
-    """Return a dataclass field with unit, shape, smallest value and, for a Literal, its choices."""
-    return field(default=default, metadata={"unit": unit, "shape": shape, "least": least, "of": get_args(of)})
+@dataclass(frozen=True, slots=True)
+class Least:
+    """Mark of a parameter: its smallest value."""
+
+    value: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Effect:
-    """Base class of effects, which checks its fields, makes arrays read-only and repeats scalars for the three axes."""
+    """Base class of effects, which checks its parameters, makes arrays read-only and repeats scalars for the three channels."""
 
     def __post_init__(self) -> None:
-        for f in fields(self):
-            shape, least, value = f.metadata.get("shape"), f.metadata.get("least"), getattr(self, f.name)
-            name = f"{type(self).__name__}.{f.name}"
-            if shape is not None:
-                if not (isinstance(value, list) and value):  # lists from a file are checked below
-                    value = value if None in shape or np.ndim(value) else np.full(shape, value)
-                    value = value if np.size(value) else np.zeros([n or 0 for n in shape])
-                value = frozen(value, shape, name)
-                object.__setattr__(self, f.name, value)
-            if least is not None and value is not None and not np.all(np.asarray(value) >= least):
-                raise InputError(f"{name}: must be {least:g} or more, got {np.min(value):g}. Correct the device.")
-            if (choices := f.metadata.get("of")) and value not in choices:
-                raise InputError(f"{name}: must be one of {', '.join(choices)}, got '{value}'. Correct the device.")
+        for name, shape, _ in _marked(type(self)):
+            if shape and np.ndim(getattr(self, name)) == 0:
+                object.__setattr__(self, name, np.full(3, getattr(self, name)))
+        freeze(self)
+        check_choices(self, type(self).__name__)
+        for name, _, least in _marked(type(self)):
+            if least and np.any((value := np.asarray(getattr(self, name), dtype=float)) < least.value):
+                raise InputError(
+                    f"{type(self).__name__}.{name}: must be {least.value:g} or more, got {np.min(value):g}. Correct the device."
+                )
+
+    def apply(self, x: FloatArray, scene: "Scene", past: "Past") -> FloatArray:
+        """Return a signal (N, 3) after the effect, in nominal input units."""
+        raise NotImplementedError
 
 
-# ---- ADC: code = round(v / step + inl(v)), step = span / 2^bits. The inl is a bow of 4 p (1 - p) over the span.
-
-Rounding = Literal["nearest", "floor", "toward_zero"]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Adc(Effect):
-    """Converter of a triad."""
-
-    bits: int = quantity("", least=1)  # width of a code
-    reference: float = quantity("{out}", least=1e-300)  # reference, in the unit of the preceding stage
-    # codes from -2^(bits - 1) to 2^(bits - 1) - 1, or from 0 to 2^bits - 1 if not signed
-    signed: bool = quantity("", None, True)
-    rounding: Rounding = quantity("", None, "nearest", of=Rounding)  # nearest, floor or toward_zero
-    inl_lsb: FloatArray = quantity("", (3,), 0.0)  # (3,), height of the bow of the integral non-linearity, steps
-    # True if the reading is the code (count), False if it is the code times the step, in the unit of the preceding stage
-    codes: bool = quantity("", None, True)
-
-    @property
-    def step(self) -> float:
-        """Code step, in the unit of the preceding stage."""
-        return (2.0 if self.signed else 1.0) * self.reference / 2.0**self.bits
-
-    @property
-    def code_limits(self) -> tuple[float, float]:
-        """Smallest and largest code."""
-        half = 2.0 ** (self.bits - 1)
-        return (-half, half - 1.0) if self.signed else (0.0, 2.0 * half - 1.0)
+@cache
+def _marked(cls: type) -> tuple[tuple[str, Shape | None, Least | None], ...]:
+    """Return name, shape and smallest value of each parameter that has one of them."""
+    marks = {name: get_args(hint)[1:] for name, hint in get_type_hints(cls, include_extras=True).items()}
+    rows = (
+        (name, *(next((mark for mark in found if isinstance(mark, kind)), None) for kind in (Shape, Least)))
+        for name, found in marks.items()
+    )
+    return tuple((name, shape, least) for name, shape, least in rows if shape or least)  # type: ignore[misc]
 
 
-def converted(v: FloatArray, effect: Adc) -> tuple[FloatArray, BoolArray]:
-    """Return the readings of a converter, and True for each clipped reading."""
-    steps = v / effect.step
-    low, high = effect.code_limits
-    if effect.inl_lsb.any():
-        place = (steps - low) / (high + 1.0 - low)
-        steps = steps + effect.inl_lsb * 4.0 * place * (1.0 - place)
-    code = rounded(steps, effect.rounding)
-    is_clipped: BoolArray = (code < low) | (code > high)
-    code = np.clip(code, low, high)
-    return (code if effect.codes else code * effect.step), is_clipped
-
-
-def rounded(steps: FloatArray, rounding: Rounding) -> FloatArray:
-    """Return steps rounded to whole steps."""
-    if rounding == "nearest":
-        return np.rint(steps)
-    return np.asarray(np.floor(steps) if rounding == "floor" else np.trunc(steps))
-
-
-# ---- Amplifier: v = null + gain S x between its rails, with S the nominal sensitivity.
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Amplifier(Effect):
-    """Gain and rails."""
-
-    gain: float = quantity("", None, 1.0)  # output per output of the sensor
-    null: float = quantity("{out}", None, 0.0)  # output at zero signal
-    low: float = quantity("{out}", None, -math.inf)  # lower rail (infinite: no limit)
-    high: float = quantity("{out}", None, math.inf)  # upper rail
-
-    def __post_init__(self) -> None:
-        Effect.__post_init__(self)
-        if not (self.gain > 0.0 and self.low < self.null < self.high):
-            raise InputError(
-                f"amplifier: gain must be positive and null between the rails, got gain {self.gain:g} and null {self.null:g} "
-                f"between {self.low:g} and {self.high:g}. Correct the device."
-            )
-
-
-WIRE = Amplifier()
-
-# ---- Scene: input of all effects.
+@dataclass_transform(frozen_default=True, kw_only_default=True, eq_default=False)
+def effect(cls: type) -> Any:
+    """Make a class a frozen dataclass that device.json contains, with every key."""
+    return stored(whole=True)(dataclass(frozen=True, slots=True, kw_only=True, eq=False)(cls))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -166,9 +112,16 @@ class Past:
 def scene_of(motion: Motion, temp_c: FloatArray, reference_temp_c: float, power_on_s: float) -> Scene:
     """Return the scene of a motion."""
     time = motion.time
-    step_s, age_s = float((time[-1] - time[0]) / (len(time) - 1)), time - time[0] + power_on_s
-    vectors = {name: getattr(motion, name) for name in ("rate_b", "angular_acceleration_b", "force_b")}
-    return Scene(time=time, step_s=step_s, temp_c=temp_c, warmth=temp_c - reference_temp_c, age_s=age_s, **vectors)
+    return Scene(
+        time=time,
+        step_s=float((time[-1] - time[0]) / (len(time) - 1)),
+        temp_c=temp_c,
+        warmth=temp_c - reference_temp_c,
+        age_s=time - time[0] + power_on_s,
+        rate_b=motion.rate_b,
+        angular_acceleration_b=motion.angular_acceleration_b,
+        force_b=motion.force_b,
+    )
 
 
 def check_even(scene: Scene, what: str) -> None:
@@ -181,47 +134,230 @@ def check_even(scene: Scene, what: str) -> None:
         )
 
 
+# ---- Lever arm: d_i = alpha x r_i + omega x (omega x r_i), added to the specific force at sensor i
+
+
+@effect
+class LeverArm(Effect):
+    """Positions of the accelerometers."""
+
+    arms: Square  # position of each sensor from the body's origin, with a row per sensor, m, frame b
+
+    def force(self, scene: Scene) -> FloatArray:
+        """Return the force of each sensor in addition to the force at the origin, (N, 3 sensors, 3)."""
+        if scene.angular_acceleration_b is None:
+            raise InputError(
+                "lever arm: the motion has no angular acceleration. Use a motion from poses or a task, or switch the lever arm off."
+            )
+        rate, arm = scene.rate_b[:, None, :], self.arms[None, :, :]
+        return np.asarray(cross(scene.angular_acceleration_b[:, None, :], arm) + cross(rate, cross(rate, arm)))
+
+
+# ---- Scale and axes: y = diag(1 + s) E x, where the rows of E are the sensor axes in b
+
+
+@effect
+class Scale(Effect):
+    """Sensitivities and axes of a triad."""
+
+    nominal_sensitivity: float  # value in the data sheet, output unit per rad/s or m/s2
+    error: Triple = ZERO  # s, relative error of each sensor's sensitivity
+    axes: Square = field(default_factory=lambda: np.eye(3))  # E, unit vector of each sensor in b, with a row per sensor
+
+    def __post_init__(self) -> None:
+        Effect.__post_init__(self)
+        length = np.linalg.norm(self.axes, axis=1)
+        if (np.abs(length - 1.0) > 1e-9).any():
+            raise InputError(
+                f"scale: axes must be unit vectors, got lengths {np.array2string(length, precision=4)}. "
+                "Enter the gain as the scale error."
+            )
+        if self.nominal_sensitivity <= 0.0:
+            raise InputError(
+                f"scale: nominal sensitivity must be positive, got {self.nominal_sensitivity:g}. To reverse an axis, change `axes`."
+            )
+
+    @property
+    def matrix(self) -> FloatArray:
+        """diag(1 + s) E, shape (3, 3)."""
+        return np.asarray((1.0 + self.error)[:, None] * self.axes)
+
+    def scaled(self, x: FloatArray, arm_force: FloatArray | None) -> FloatArray:
+        """Return the output of the channels for a motion, and for the force of each sensor at its own place."""
+        if arm_force is None:
+            return np.asarray(x @ self.matrix.T)
+        along = x @ self.axes.T + np.einsum("ij,nij->ni", self.axes, arm_force)
+        return np.asarray(along * (1.0 + self.error))
+
+
+# ---- Non-linearity: y = x + q x^2
+
+
+@effect
+class Nonlinearity(Effect):
+    """Deviation of the output from a straight line."""
+
+    quadratic: Triple = ZERO  # q, per rad/s or per m/s2
+
+    def bent(self, x: FloatArray) -> FloatArray:
+        """Return a signal after the non-linearity."""
+        return np.asarray(x + x * x * self.quadratic)
+
+    def apply(self, x: FloatArray, scene: Scene, past: Past) -> FloatArray:
+        return self.bent(x)
+
+
 # ---- g-sensitivity: y = x + G f
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@effect
 class GSensitivity(Effect):
     """Apparent rate of a gyroscope due to specific force."""
 
-    # (3, 3), apparent rate, rad/s per m/s2: row i for sensor i, columns x, y, z of b
-    matrix: FloatArray = quantity("{x}_per_m_s2", (3, 3))
+    matrix: Square  # apparent rate, rad/s per m/s2: row i for sensor i, columns x, y, z of b
 
     def apply(self, x: FloatArray, scene: Scene, past: Past) -> FloatArray:
-        """Return a signal plus the effect of specific force."""
         return np.asarray(x + scene.force_b @ self.matrix.T)
 
 
-# ---- Thermal hysteresis: y = x + A (z - T) / w, where z follows T with a play of half-width w.
+# ---- Offset and its thermal drift: y = x + o + c_1 D + c_2 D^2 + ...
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@effect
+class Offset(Effect):
+    """Output at zero input."""
+
+    constant: Triple = ZERO  # at the reference temperature, rad/s or m/s2
+    per_k: Powers = field(
+        default_factory=lambda: np.zeros((0, 3))
+    )  # coefficients of D, D^2, ..., rad/s or m/s2 per K^k
+
+    def at(self, warmth: FloatArray | float) -> FloatArray:
+        """Return the offset at a temperature above reference, K."""
+        return self.constant + polynomial(self.per_k, np.asarray(warmth, dtype=float))
+
+    def apply(self, x: FloatArray, scene: Scene, past: Past) -> FloatArray:
+        return x + (self.at(scene.warmth) if len(self.per_k) else self.constant)
+
+
+def polynomial(coefficients: FloatArray, warmth: FloatArray) -> FloatArray:
+    """Return ``sum_k c_k D^k`` for k = 1, 2, ... per axis."""
+    total = np.zeros((*warmth.shape, 3))
+    for row in coefficients[::-1]:
+        total = (total + row) * warmth[..., None]
+    return total
+
+
+# ---- Thermal scale: y = x (1 + k_1 D + k_2 D^2 + ...), which also applies to the offset
+
+
+@effect
+class ThermalScale(Effect):
+    """Change of the sensitivity with temperature."""
+
+    per_k: Powers  # relative change with D, D^2, ..., per K^k
+
+    def factor(self, warmth: FloatArray | float) -> FloatArray:
+        """Return the factor at a temperature above reference, K."""
+        return 1.0 + polynomial(self.per_k, np.asarray(warmth, dtype=float))
+
+    def apply(self, x: FloatArray, scene: Scene, past: Past) -> FloatArray:
+        return x * self.factor(scene.warmth)
+
+
+# ---- Rate-dependent drift, the note's dynamic drift: y = x + sum_pq c_pq x^p D^q, p = 1, 2, ...
+
+
+@effect
+class RateDrift(Effect):
+    """Error that depends on rate and temperature."""
+
+    # (P, Q, 3), c_pq with power p = 1..P of the rate and q = 0..Q-1 of the warmth, rad/s over (rad/s)^p K^q
+    coefficients: Annotated[FloatArray, Shape("p", "q", 3)]
+
+    def error(self, x: FloatArray, warmth: FloatArray) -> FloatArray:
+        """Return e(x, T)."""
+        total = np.zeros_like(x)
+        for powers in self.coefficients[::-1]:
+            inner = np.zeros_like(x)
+            for row in powers[::-1]:
+                inner = inner * warmth[:, None] + row
+            total = (total + inner) * x
+        return total
+
+    def apply(self, x: FloatArray, scene: Scene, past: Past) -> FloatArray:
+        return x + self.error(x, scene.warmth)
+
+
+# ---- Warm-up: y = x - A exp(-t / tau), the difference from the settled offset [4]
+
+
+@effect
+class PowerOnTransient(Effect):
+    """Offset over time since power-on."""
+
+    amplitude: Triple  # change from power-on to the settled value, rad/s or m/s2
+    time_constant_s: Annotated[float, Least(1e-9)]  # s
+
+    def apply(self, x: FloatArray, scene: Scene, past: Past) -> FloatArray:
+        return np.asarray(x - np.outer(np.exp(-scene.age_s / self.time_constant_s), self.amplitude))
+
+
+# ---- Thermal hysteresis: y = x + A (z - T) / w, where z follows T with a play of half-width w
+
+
+@effect
 class ThermalHysteresis(Effect):
     """Difference of the offset between warming and cooling."""
 
-    amplitude: FloatArray = quantity("{x}", (3,))  # (3,), half the width of the loop, rad/s or m/s2
-    play_k: float = quantity("", None, 2.0, least=1e-9)  # Half-width of the play, K
+    amplitude: Triple  # half the width of the loop, rad/s or m/s2
+    play_k: Annotated[float, Least(1e-9)] = 2.0  # half-width of the play, K
 
     def apply(self, x: FloatArray, scene: Scene, past: Past) -> FloatArray:
-        """Return a signal with thermal hysteresis."""
         follower = play(scene.temp_c, self.play_k, past.state)
         past.state = float(follower[-1])
         return x + np.outer((follower - scene.temp_c) / self.play_k, self.amplitude)
 
 
-def play(temp_c: FloatArray, half_width: float, at: float | None = None) -> FloatArray:
-    """Return the output of a play operator that follows a temperature, degC, starting from `at`."""
-    if at is None and np.ptp(temp_c) == 0.0:
+def play(temp_c: FloatArray, half_width: float, start_c: float | None = None) -> FloatArray:
+    """Return the output of a play operator that follows a temperature, degC."""
+    if start_c is None and np.ptp(temp_c) == 0.0:
         return temp_c
     from undrift.kernels.device import follow_with_play
 
-    follower = np.empty(len(temp_c))
-    follow_with_play(np.ascontiguousarray(temp_c), half_width, float(temp_c[0]) if at is None else at, follower)
+    follower, start_c = np.empty(len(temp_c)), float(temp_c[0]) if start_c is None else start_c
+    follow_with_play(np.ascontiguousarray(temp_c), half_width, start_c, follower)
     return follower
+
+
+# ---- White noise and random walk: y_k = x_k + N sqrt(f) n_k + sum_j<=k K / sqrt(f) m_j
+
+
+@effect
+class WhiteNoise(Effect):
+    """Angle or velocity random walk."""
+
+    # N, rad/s/sqrt(Hz) or m/s2/sqrt(Hz). The standard deviation of a sample is N sqrt(sample rate). The one-sided density of a
+    # data sheet is sqrt(2) N.
+    random_walk: Annotated[FloatArray, Shape(3), Least(0.0)]
+
+    def apply(self, x: FloatArray, scene: Scene, past: Past) -> FloatArray:
+        return np.asarray(x + past.rng.standard_normal(x.shape) * (self.random_walk / np.sqrt(scene.step_s)))
+
+
+@effect
+class RandomWalk(Effect):
+    """Random walk of the offset, starting at the first sample."""
+
+    bias_walk: Annotated[FloatArray, Shape(3), Least(0.0)]  # K, rad/s/sqrt(s) or m/s2/sqrt(s)
+
+    def apply(self, x: FloatArray, scene: Scene, past: Past) -> FloatArray:
+        steps = past.rng.standard_normal(x.shape) * (self.bias_walk * np.sqrt(scene.step_s))
+        if past.state is None:
+            past.state, steps[0] = np.zeros(3), 0.0
+        walk = past.state + np.cumsum(steps, axis=0)
+        past.state = walk[-1]
+        return np.asarray(x + walk)
 
 
 # ---- Bias instability: density B^2 / (2 pi f) as Gauss-Markov processes a factor r apart [1]
@@ -229,13 +365,13 @@ def play(temp_c: FloatArray, half_width: float, at: float | None = None) -> Floa
 RATIO = math.sqrt(10.0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@effect
 class BiasInstability(Effect):
     """Flicker noise of the offset."""
 
-    instability: FloatArray = quantity("{x}", (3,), least=0.0)  # (3,), B, rad/s or m/s2
-    shortest_s: float = quantity("", None, 0.1, least=1e-9)  # time constant of the fastest process, s
-    longest_s: float = quantity("", None, 1e4, least=1e-9)  # time constant of the slowest process, s
+    instability: Annotated[FloatArray, Shape(3), Least(0.0)]  # B, rad/s or m/s2
+    shortest_s: Annotated[float, Least(1e-9)] = 0.1  # time constant of the fastest process, s
+    longest_s: Annotated[float, Least(1e-9)] = 1e4  # time constant of the slowest process, s
 
     @property
     def time_constants_s(self) -> FloatArray:
@@ -244,7 +380,6 @@ class BiasInstability(Effect):
         return np.asarray(self.shortest_s * RATIO ** np.arange(count))
 
     def apply(self, x: FloatArray, scene: Scene, past: Past) -> FloatArray:
-        """Return a signal plus flicker noise, from a stationary start or from the stored state (processes, 3)."""
         from undrift.kernels.device import add_process
 
         sd = self.instability * math.sqrt(math.log(RATIO) / math.pi)
@@ -258,24 +393,24 @@ class BiasInstability(Effect):
         return total
 
 
-# ---- Lever arm: d_i = alpha x r_i + omega x (omega x r_i), added to the specific force at sensor i
+# ---- Amplifier: v = null + gain S x between its rails, with S the nominal sensitivity
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LeverArm(Effect):
-    """Positions of the sensors."""
+@effect
+class Amplifier(Effect):
+    """Gain and rails."""
 
-    # (3, 3), position of each sensor from the body's origin, with a row per sensor, m, frame b
-    arms: FloatArray = quantity("m", (3, 3))
+    gain: float = 1.0  # output per output of the sensor
+    null: float = 0.0  # output at zero signal
+    low: AnyNumber = -math.inf  # lower rail (infinite: no limit)
+    high: AnyNumber = math.inf  # upper rail
 
-    def force(self, scene: Scene) -> FloatArray:
-        """Return the force of each sensor in addition to the force at the origin, (N, 3 sensors, 3)."""
-        if scene.angular_acceleration_b is None:
+    def __post_init__(self) -> None:
+        if not (self.gain > 0.0 and self.low < self.null < self.high):
             raise InputError(
-                "lever arm: the motion has no angular acceleration. Use a motion from poses or a task, or switch the lever arm off."
+                f"amplifier: gain must be positive and null between the rails, got gain {self.gain:g} and null {self.null:g} "
+                f"between {self.low:g} and {self.high:g}. Correct the device."
             )
-        rate, arm = scene.rate_b[:, None, :], self.arms[None, :, :]
-        return np.asarray(cross(scene.angular_acceleration_b[:, None, :], arm) + cross(rate, cross(rate, arm)))
 
 
 # ---- Low-pass: H(s) = w^2 / (s^2 + w s / Q + w^2), exact for a first-order hold [2]
@@ -283,32 +418,28 @@ class LeverArm(Effect):
 BUTTERWORTH = 1.0 / math.sqrt(2.0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@effect
 class LowPass(Effect):
     """Second-order low-pass filter of each channel."""
 
-    cutoff_hz: FloatArray = quantity("", (3,), least=1e-9)  # (3,), w / (2 pi), Hz
-    quality: FloatArray = quantity("", (3,), BUTTERWORTH, least=1e-9)  # (3,), Q
+    cutoff_hz: Annotated[FloatArray, Shape(3), Least(1e-9)]  # w / (2 pi), Hz
+    quality: Annotated[FloatArray, Shape(3), Least(1e-9)] = field(default_factory=lambda: np.full(3, BUTTERWORTH))  # Q
 
     @property
     def group_delay_s(self) -> FloatArray:
         """Delay of slow signals, s, shape (3,)."""
         return np.asarray(1.0 / (self.quality * 2.0 * math.pi * self.cutoff_hz))
 
-    def equations(self, step_s: float) -> list[tuple[FloatArray, FloatArray]]:
-        """Return the coefficients b and a of each channel."""
-        pairs = zip(self.cutoff_hz.tolist(), self.quality.tolist(), strict=True)
-        return [difference_equation(cutoff, quality, step_s) for cutoff, quality in pairs]
-
     def apply(self, x: FloatArray, scene: Scene, past: Past) -> FloatArray:
-        """Return a signal after the low-pass filter, which starts settled at the first sample."""
         from scipy.signal import lfilter
 
         check_even(scene, "low-pass")
-        out, equations = np.empty_like(x), self.equations(scene.step_s)
+        pairs = zip(self.cutoff_hz.tolist(), self.quality.tolist(), strict=True)
+        equations = [difference_equation(cutoff, quality, scene.step_s) for cutoff, quality in pairs]
         past.state = past.state or [
             np.array([1.0 - b[0], b[2] - a[2]]) * x[0, axis] for axis, (b, a) in enumerate(equations)
         ]
+        out = np.empty_like(x)
         for axis, (b, a) in enumerate(equations):
             out[:, axis], past.state[axis] = lfilter(b, a, x[:, axis], zi=past.state[axis])
         return out
@@ -338,128 +469,23 @@ def difference_equation(cutoff_hz: float, quality: float, step_s: float) -> tupl
     return b, np.array([1.0, -float(np.trace(e)), float(np.linalg.det(e))])
 
 
-# ---- White noise and random walk: y_k = x_k + N sqrt(f) n_k + sum_j<=k K / sqrt(f) m_j
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class WhiteNoise(Effect):
-    """Angle or velocity random walk."""
-
-    # (3,), N, rad/s/sqrt(Hz) or m/s2/sqrt(Hz). The standard deviation of a sample is N sqrt(sample rate). The one-sided
-    # density of a data sheet is sqrt(2) N.
-    random_walk: FloatArray = quantity("{x}_per_sqrt_hz", (3,), least=0.0)
-
-    def apply(self, x: FloatArray, scene: Scene, past: Past) -> FloatArray:
-        """Return a signal plus white noise."""
-        return np.asarray(x + past.rng.standard_normal(x.shape) * (self.random_walk / np.sqrt(scene.step_s)))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RandomWalk(Effect):
-    """Random walk of the offset, starting at the first sample."""
-
-    bias_walk: FloatArray = quantity("{x}_per_sqrt_s", (3,), least=0.0)  # (3,), K, rad/s/sqrt(s) or m/s2/sqrt(s)
-
-    def apply(self, x: FloatArray, scene: Scene, past: Past) -> FloatArray:
-        """Return a signal plus a random walk."""
-        steps = past.rng.standard_normal(x.shape) * (self.bias_walk * np.sqrt(scene.step_s))
-        if past.state is None:
-            past.state, steps[0] = np.zeros(3), 0.0
-        walk = past.state + np.cumsum(steps, axis=0)
-        past.state = walk[-1]
-        return np.asarray(x + walk)
-
-
-# ---- Non-linearity and asymmetry: y = x + q x^2 + c x^3 + (a / 2) |x|
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Nonlinearity(Effect):
-    """Deviation of the output from a straight line."""
-
-    quadratic: FloatArray = quantity("per_{x}", (3,), 0.0)  # (3,), q, per rad/s or per m/s2
-    cubic: FloatArray = quantity("per_{x}_squared", (3,), 0.0)  # (3,), c, per (rad/s)^2 or per (m/s2)^2
-    asymmetry: FloatArray = quantity("", (3,), 0.0)  # (3,), a, relative
-
-    def bent(self, x: FloatArray) -> FloatArray:
-        """Return a signal after non-linearity and asymmetry."""
-        return np.asarray(x + x * x * (self.quadratic + self.cubic * x) + 0.5 * self.asymmetry * np.abs(x))
-
-    def apply(self, x: FloatArray, scene: Scene, past: Past) -> FloatArray:
-        """Return a signal after non-linearity and asymmetry."""
-        return self.bent(x)
-
-
-# ---- Offset and its thermal drift: y = x + o + c_1 D + c_2 D^2 + ...
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Offset(Effect):
-    """Output at zero input."""
-
-    constant: FloatArray = quantity("{x}", (3,), 0.0)  # (3,), at the reference temperature, rad/s or m/s2
-    # (K, 3), coefficients of D, D^2, ... D^K, with a row per power, rad/s or m/s2 per K to that power
-    per_k: FloatArray = quantity("{x}_by_power_of_k", (None, 3), ())
-
-    def at(self, warmth: FloatArray | float) -> FloatArray:
-        """Return the offset at a temperature above reference, K."""
-        return self.constant + polynomial(self.per_k, np.asarray(warmth, dtype=float))
-
-    def apply(self, x: FloatArray, scene: Scene, past: Past) -> FloatArray:
-        """Return a signal plus the offset."""
-        return x + (self.at(scene.warmth) if len(self.per_k) else self.constant)
-
-
-def polynomial(coefficients: FloatArray, warmth: FloatArray) -> FloatArray:
-    """Return ``sum_k c_k D^k`` for k = 1, 2, ... per axis."""
-    total = np.zeros((*warmth.shape, 3))
-    for row in coefficients[::-1]:
-        total = (total + row) * warmth[..., None]
-    return total
-
-
-# ---- Rate-dependent drift, the note's dynamic drift: y = x + sum_pq c_pq x^p D^q, p = 1, 2, ...
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RateDrift(Effect):
-    """Error that depends on rate and temperature."""
-
-    # (P, Q, 3), c_pq with power p = 1..P of the rate and q = 0..Q-1 of the warmth, rad/s over (rad/s)^p K^q
-    coefficients: FloatArray = quantity("{x}_by_powers_of_{x}_and_k", (None, None, 3))
-
-    def error(self, x: FloatArray, warmth: FloatArray) -> FloatArray:
-        """Return e(x, T)."""
-        total = np.zeros_like(x)
-        for powers in self.coefficients[::-1]:
-            inner = np.zeros_like(x)
-            for row in powers[::-1]:
-                inner = inner * warmth[:, None] + row
-            total = (total + inner) * x
-        return total
-
-    def apply(self, x: FloatArray, scene: Scene, past: Past) -> FloatArray:
-        """Return a signal plus the drift."""
-        return x + self.error(x, scene.warmth)
-
-
 # ---- Sampling: channel i is taken at t_0 + (j / f) / (1 + c) + d_i + jitter_j
 
 Averaging = Literal["instant", "interval"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@effect
 class Sampling(Effect):
     """Clock of the device and timing of its converters."""
 
     # nominal sample rate, Hz, or None for the samples of the motion, moved by jitter, clock error and delays
-    sample_rate_hz: float | None = quantity("", None, None, least=1e-9)
-    clock_error: float = quantity("", None, 0.0, least=-0.5)  # c, relative (positive if the clock runs fast)
-    jitter_s: float = quantity("", None, 0.0, least=0.0)  # standard deviation of the time of a sample, s
-    gyro_delay_s: FloatArray = quantity("", (3,), 0.0)  # (3,), d, s
-    accel_delay_s: FloatArray = quantity("", (3,), 0.0)  # (3,), d, s
-    gyro_averaging: Averaging = quantity("", None, "interval", of=Averaging)  # instant or interval
-    accel_averaging: Averaging = quantity("", None, "instant", of=Averaging)
+    sample_rate_hz: Annotated[float | None, Least(1e-9)] = None
+    clock_error: Annotated[float, Least(-0.5)] = 0.0  # c, relative (positive if the clock runs fast)
+    jitter_s: Annotated[float, Least(0.0)] = 0.0  # standard deviation of the time of a sample, s
+    gyro_delay_s: Triple = ZERO  # d, s
+    accel_delay_s: Triple = ZERO  # d, s
+    gyro_averaging: Averaging = "interval"
+    accel_averaging: Averaging = "instant"
 
     @property
     def on_grid(self) -> bool:
@@ -467,46 +493,45 @@ class Sampling(Effect):
         moved = self.clock_error or self.jitter_s or self.gyro_delay_s.any() or self.accel_delay_s.any()
         return self.sample_rate_hz is None and not moved
 
+    def ticks(self, time: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+        """Return recorded and true times (M,) of the samples within a motion, s, without the delays of the channels."""
+        if self.on_grid:
+            return time, time
+        stamped, rate = time, self.sample_rate_hz
+        if rate is not None:
+            stamped = time[0] + np.arange(int((time[-1] - time[0]) * rate * 1.5) + 2) / rate
+        true = time[0] + (stamped - time[0]) / (1.0 + self.clock_error)
+        true = true + self.jitter_s * rng.standard_normal(len(true))
+        delays = np.concatenate((self.gyro_delay_s, self.accel_delay_s, [0.0]))
+        margin = 1e-9 * (time[-1] - time[0])  # of rounding
+        inside = (true + delays.min() >= time[0] - margin) & (true + delays.max() <= time[-1] + margin)
+        if inside.sum() < 2 or (np.diff(true[inside]) <= 0.0).any():
+            raise InputError(
+                f"sampling: at least two samples in order of time are required, got {int(inside.sum())} within the motion. "
+                "Use a longer motion, or a jitter well below the sample period."
+            )
+        return stamped[inside], true[inside]
 
-def ticks_of(effect: Sampling, time: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """Return recorded and true times (M,) of the samples within a motion, s, without the delays of the channels."""
-    if effect.on_grid:
-        return time, time
-    stamped, rate = time, effect.sample_rate_hz
-    if rate is not None:
-        stamped = time[0] + np.arange(int((time[-1] - time[0]) * rate * 1.5) + 2) / rate
-    true = time[0] + (stamped - time[0]) / (1.0 + effect.clock_error)
-    true = true + effect.jitter_s * rng.standard_normal(len(true))
-    delays = np.concatenate((effect.gyro_delay_s, effect.accel_delay_s, [0.0]))
-    margin = 1e-9 * (time[-1] - time[0])  # of rounding
-    inside = (true + delays.min() >= time[0] - margin) & (true + delays.max() <= time[-1] + margin)
-    if inside.sum() < 2 or (np.diff(true[inside]) <= 0.0).any():
-        raise InputError(
-            f"sampling: at least two samples in order of time are required, got {int(inside.sum())} within the motion. "
-            "Use a longer motion, or a jitter well below the sample period."
-        )
-    return stamped[inside], true[inside]
 
+def sampled(
+    x: FloatArray, time: FloatArray, taken_s: FloatArray, delay_s: FloatArray, averaging: Averaging
+) -> FloatArray:
+    """Return a signal at other times, with a cubic spline.
 
-def instant(x: FloatArray, time: FloatArray, at: FloatArray, delay_s: FloatArray) -> FloatArray:
-    """Return a signal at other times, with a cubic spline."""
+    With averaging over the interval since the previous sample, x contains the means over the steps of the motion.
+    """
     from scipy.interpolate import CubicSpline
 
-    return np.stack([CubicSpline(time, x[:, k])(at + delay_s[k]) for k in range(3)], axis=1)
-
-
-def interval(means: FloatArray, time: FloatArray, at: FloatArray, delay_s: FloatArray) -> FloatArray:
-    """Return the mean of a signal since the previous sample, from its means over the steps of the motion."""
-    from scipy.interpolate import CubicSpline
-
-    integral = np.cumsum(means * np.diff(time, prepend=time[0])[:, None], axis=0)
-    out = np.empty((len(at), 3))
+    if averaging == "instant":
+        return np.stack([CubicSpline(time, x[:, k])(taken_s + delay_s[k]) for k in range(3)], axis=1)
+    integral = np.cumsum(x * np.diff(time, prepend=time[0])[:, None], axis=0)
+    out = np.empty((len(taken_s), 3))
     for k in range(3):
-        taken = at + delay_s[k]
-        before = np.concatenate(([taken[0] - (taken[1] - taken[0])], taken[:-1]))
+        end = taken_s + delay_s[k]
+        start = np.concatenate(([end[0] - (end[1] - end[0])], end[:-1]))
         spline = CubicSpline(time, integral[:, k])
-        early = np.minimum(before - time[0], 0.0) * means[0, k]
-        out[:, k] = (spline(taken) - spline(np.maximum(before, time[0])) - early) / (taken - before)
+        before_motion = np.minimum(start - time[0], 0.0) * x[0, k]
+        out[:, k] = (spline(end) - spline(np.maximum(start, time[0])) - before_motion) / (end - start)
     return out
 
 
@@ -518,92 +543,72 @@ def step_means(x: FloatArray, time: FloatArray) -> FloatArray:
     return np.vstack((x[:1], np.diff(integral, axis=0) / np.diff(time)[:, None]))
 
 
-# ---- Scale, cross-axis, misalignment: y = (I + X) diag(1 + s) E x, where the rows of E are the sensor axes in b.
+# ---- ADC: code = round(v / step + inl(v)), step = span / 2^bits. The inl is a bow of 4 p (1 - p) over the span.
+
+Rounding = Literal["nearest", "floor", "toward_zero"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Scale(Effect):
-    """Sensitivities, axes and crosstalk of a triad."""
+@effect
+class Adc(Effect):
+    """Converter of a triad."""
 
-    nominal_sensitivity: float = quantity("{out}_per_{x}")  # value in the data sheet, output unit per rad/s or m/s2
-    error: FloatArray = quantity("", (3,), 0.0)  # (3,), relative error of each sensor's sensitivity
-    # (3, 3), unit vector of each sensor in b, with a row per sensor
-    axes: FloatArray = quantity("", (3, 3), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
-    # (3, 3), relative crosstalk from channel j (column) to channel i (row)
-    cross_axis: FloatArray = quantity("", (3, 3), 0.0)
-
-    def __post_init__(self) -> None:
-        Effect.__post_init__(self)
-        length = np.linalg.norm(self.axes, axis=1)
-        if (np.abs(length - 1.0) > 1e-9).any():
-            raise InputError(
-                f"scale: axes must be unit vectors, got lengths {np.array2string(length, precision=4)}. "
-                "Enter the gain as the scale error."
-            )
-        if self.nominal_sensitivity <= 0.0:
-            raise InputError(
-                f"scale: nominal sensitivity must be positive, got {self.nominal_sensitivity:g}. To reverse an axis, change `axes`."
-            )
+    bits: Annotated[int, Least(1)]  # width of a code
+    reference: Annotated[float, Least(1e-300)]  # reference, in the unit of the preceding stage
+    signed: bool = True  # codes from -2^(bits - 1) to 2^(bits - 1) - 1, or from 0 to 2^bits - 1 if not signed
+    rounding: Rounding = "nearest"
+    inl_lsb: Triple = ZERO  # height of the bow of the integral non-linearity, steps
+    # True if the reading is the code (count), False if it is the code times the step, in the unit of the preceding stage
+    codes: bool = True
 
     @property
-    def matrix(self) -> FloatArray:
-        """(I + X) diag(1 + s) E, shape (3, 3)."""
-        return np.asarray((np.eye(3) + self.cross_axis) @ ((1.0 + self.error)[:, None] * self.axes))
+    def step(self) -> float:
+        """Code step, in the unit of the preceding stage."""
+        return (2.0 if self.signed else 1.0) * self.reference / 2.0**self.bits
+
+    @property
+    def code_limits(self) -> tuple[float, float]:
+        """Smallest and largest code."""
+        half = 2.0 ** (self.bits - 1)
+        return (-half, half - 1.0) if self.signed else (0.0, 2.0 * half - 1.0)
+
+    def converted(self, v: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Return the readings, and True for each clipped reading."""
+        steps = v / self.step
+        low, high = self.code_limits
+        if self.inl_lsb.any():
+            share = (steps - low) / (high + 1.0 - low)
+            steps = steps + self.inl_lsb * 4.0 * share * (1.0 - share)
+        code = rounded(steps, self.rounding)
+        is_clipped: BoolArray = (code < low) | (code > high)
+        code = np.clip(code, low, high)
+        return (code if self.codes else code * self.step), is_clipped
 
 
-def scaled(x: FloatArray, effect: Scale, extra: FloatArray | None = None) -> FloatArray:
-    """Return the output of the channels for a motion."""
-    if extra is None:
-        return np.asarray(x @ effect.matrix.T)
-    along = x @ effect.axes.T + np.einsum("ij,nij->ni", effect.axes, extra)
-    return np.asarray((along * (1.0 + effect.error)) @ (np.eye(3) + effect.cross_axis).T)
-
-
-# ---- Thermal scale: y = x (1 + k_1 D + k_2 D^2 + ...), which also applies to the offset.
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ThermalScale(Effect):
-    """Change of the sensitivity with temperature."""
-
-    # (K, 3), relative change with D, D^2, ... D^K, with a row per power, per K to that power
-    per_k: FloatArray = quantity("by_power_of_k", (None, 3))
-
-    def factor(self, warmth: FloatArray | float) -> FloatArray:
-        """Return the factor at a temperature above reference, K."""
-        return 1.0 + polynomial(self.per_k, np.asarray(warmth, dtype=float))
-
-    def apply(self, x: FloatArray, scene: Scene, past: Past) -> FloatArray:
-        """Return a signal times the factor at its temperature."""
-        return x * self.factor(scene.warmth)
+def rounded(steps: FloatArray, rounding: Rounding) -> FloatArray:
+    """Return steps rounded to whole steps."""
+    return {"nearest": np.rint, "floor": np.floor, "toward_zero": np.trunc}[rounding](steps)
 
 
 # ---- Thermometer: felt' = (T + s (1 - exp(-t / lag)) - felt) / lag, exact for a straight T
 
-TRIM_TEMP_C = 25.0
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
+@effect
 class Thermometer(Effect):
     """A board thermometer."""
 
-    trim_error_c: float = quantity("", None, 0.0)  # reading minus truth at 25 degC, K
-    slope_error: float = quantity("", None, 0.0)  # relative error of the slope
-    lag_s: float = quantity("", None, 0.0, least=0.0)  # time constant, s (0: no lag)
-    self_heating_c: float = quantity("", None, 0.0)  # settled self-heating, K
-    noise_c: float = quantity("", None, 0.0, least=0.0)  # standard deviation of a sample, K
-    step_c: float = quantity("", None, 0.0, least=0.0)  # step of the reading, K (0: no steps)
-    zero_c: float = quantity("", None, 0.0)  # temperature of code 0, degC
-    rounding: Rounding = quantity("", None, "nearest", of=Rounding)  # nearest, floor or toward_zero
+    trim_error_c: float = 0.0  # reading minus truth, K
+    lag_s: Annotated[float, Least(0.0)] = 0.0  # time constant, s (0: no lag)
+    self_heating_c: float = 0.0  # settled self-heating, K
+    noise_c: Annotated[float, Least(0.0)] = 0.0  # standard deviation of a sample, K
+    step_c: Annotated[float, Least(0.0)] = 0.0  # step of the reading, K (0: no steps)
+    zero_c: float = 0.0  # temperature of code 0, degC
 
     def shown(self, temp_c: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Return the readings of a thermometer at a temperature, degC, with trim and slope errors, noise and steps."""
-        reading: FloatArray = temp_c + self.trim_error_c + self.slope_error * (temp_c - TRIM_TEMP_C)
+        """Return the readings of a thermometer at a temperature, degC, with trim error, noise and steps."""
+        reading: FloatArray = temp_c + self.trim_error_c
         if self.noise_c > 0.0:
             reading = reading + rng.normal(0.0, self.noise_c, len(reading))
-        if self.step_c == 0.0:
-            return reading
-        return rounded((reading - self.zero_c) / self.step_c, self.rounding) * self.step_c + self.zero_c
+        return np.rint((reading - self.zero_c) / self.step_c) * self.step_c + self.zero_c if self.step_c else reading
 
     def felt(self, scene: Scene, past: Past) -> FloatArray:
         """Return the temperature of the thermometer, degC, with lag and self-heating."""
@@ -627,59 +632,46 @@ class Thermometer(Effect):
         return lagging + heating
 
 
-# ---- Warm-up: y = x - A (1 + k D) exp(-t / tau), the difference from the settled offset [4]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PowerOnTransient(Effect):
-    """Offset over time since power-on."""
-
-    amplitude: FloatArray = quantity("{x}", (3,))  # (3,), change from power-on to the settled value, rad/s or m/s2
-    time_constant_s: float = quantity("", least=1e-9)  # s
-    per_k: FloatArray = quantity("", (3,), 0.0)  # (3,), relative change of the amplitude with temperature, per K
-
-    def apply(self, x: FloatArray, scene: Scene, past: Past) -> FloatArray:
-        """Return a signal plus the warm-up transient."""
-        fading = np.exp(-scene.age_s / self.time_constant_s)[:, None]
-        return np.asarray(x - self.amplitude * (1.0 + np.outer(scene.warmth, self.per_k)) * fading)
-
-
 # ---- The chain
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@effect
 class SensorChain(Effect):
-    """Triad of sensors of the same kind."""
+    """Triad of sensors of the same kind. Its fields are the effects in the order in which they apply, None if switched off."""
 
-    unit: str = quantity("")  # unit of the reading: count, v, dps, rad/s, g, m/s2
-    scale: Scale = quantity("")  # sensitivity, axes, crosstalk
-    lever_arm: LeverArm | None = quantity("", None, None)  # Accelerometers
-    nonlinearity: Nonlinearity | None = quantity("", None, None)  # With asymmetry
-    g_sensitivity: GSensitivity | None = quantity("", None, None)  # Gyroscopes
-    offset: Offset | None = quantity("", None, None)  # With its thermal drift
-    thermal_scale: ThermalScale | None = quantity("", None, None)  # Sensitivity over temperature
-    rate_drift: RateDrift | None = quantity("", None, None)  # e(omega, T)
-    warm_up: PowerOnTransient | None = quantity("", None, None)  # b(t, T)
-    hysteresis: ThermalHysteresis | None = quantity("", None, None)  # hysteresis of the offset over temperature
-    white_noise: WhiteNoise | None = quantity("", None, None)  # Angle or velocity random walk
-    instability: BiasInstability | None = quantity("", None, None)  # Flicker of the offset
-    random_walk: RandomWalk | None = quantity("", None, None)  # random walk of the offset
-    amplifier: Amplifier | None = quantity("", None, None)  # Gain and rails
-    low_pass: LowPass | None = quantity("", None, None)  # Analogue, second order
-    adc: Adc | None = quantity("", None, None)  # Converter
+    unit: str  # unit of the reading: count, v, dps, rad/s, g, m/s2
+    lever_arm: LeverArm | None = None
+    scale: Scale
+    nonlinearity: Nonlinearity | None = None
+    g_sensitivity: GSensitivity | None = None
+    offset: Offset | None = None
+    thermal_scale: ThermalScale | None = None
+    rate_drift: RateDrift | None = None
+    warm_up: PowerOnTransient | None = None
+    hysteresis: ThermalHysteresis | None = None
+    white_noise: WhiteNoise | None = None
+    instability: BiasInstability | None = None
+    random_walk: RandomWalk | None = None
+    amplifier: Amplifier | None = None
+    low_pass: LowPass | None = None
+    adc: Adc | None = None
 
     @property
     def _amplified(self) -> Amplifier:
-        return self.amplifier or WIRE
+        return self.amplifier or Amplifier()
 
     @property
     def _per_code(self) -> float:
         return self.adc.step if self.adc and self.adc.codes else 1.0
 
     @property
+    def _amplified_sensitivity(self) -> float:
+        return self.scale.nominal_sensitivity * self._amplified.gain
+
+    @property
     def gain(self) -> float:
         """Nominal gain of the whole chain, unit of the reading per rad/s or m/s2."""
-        return self.scale.nominal_sensitivity * self._amplified.gain / self._per_code
+        return self._amplified_sensitivity / self._per_code
 
     @property
     def null(self) -> float:
@@ -700,8 +692,7 @@ class SensorChain(Effect):
     def rails(self) -> FloatArray:
         """Signal at the rails of the amplifier, nominal input units, (2,)."""
         amplifier = self._amplified
-        total = amplifier.gain * self.scale.nominal_sensitivity
-        return (np.array([amplifier.low, amplifier.high]) - amplifier.null) / total
+        return (np.array([amplifier.low, amplifier.high]) - amplifier.null) / self._amplified_sensitivity
 
     @property
     def full_scale(self) -> float:
@@ -709,7 +700,7 @@ class SensorChain(Effect):
         limits = self.rails
         if self.adc:
             codes = np.array(self.adc.code_limits) * self.adc.step - self._amplified.null
-            limits = np.vstack((limits, codes / (self._amplified.gain * self.scale.nominal_sensitivity)))
+            limits = np.vstack((limits, codes / self._amplified_sensitivity))
         return float((limits * [-1.0, 1.0]).min())
 
     def stages(self, x: FloatArray, scene: Scene, pasts: Mapping[str, Past]) -> Iterator[tuple[str, FloatArray]]:
@@ -717,20 +708,22 @@ class SensorChain(Effect):
         arm = self.lever_arm.force(scene) if self.lever_arm else np.zeros((1, 3, 3))
         own_force = np.einsum("nii->ni", arm)
         for name in effects_of(self):
+            if name == "adc":
+                return
             if name == "lever_arm":
                 x = x + own_force
             elif name == "scale":  # x already includes the force of each sensor along its axis
-                x = scaled(x - own_force, self.scale, arm) if self.lever_arm else scaled(x, self.scale)
+                x = self.scale.scaled(x - own_force, arm) if self.lever_arm else self.scale.scaled(x, None)
             elif name == "amplifier":
                 x = np.clip(x, *self.rails)
-            elif name != "adc":
+            else:
                 x = getattr(self, name).apply(x, scene, pasts[name])
-            if name != "adc":
-                yield name, x
+            yield name, x
 
-    def reading(self, x: FloatArray) -> FloatArray:
-        """Return a signal after the amplifier, which is the reading or the input of the converter."""
-        return self._amplified.null + self._amplified.gain * self.scale.nominal_sensitivity * x
+    def converted(self, x: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Return the readings of a signal after the low-pass, and True for each reading that the converter clips."""
+        output = self._amplified.null + self._amplified_sensitivity * x
+        return self.adc.converted(output) if self.adc else (output, np.zeros(x.shape, dtype=bool))
 
     def shifted(self, by: FloatArray) -> "SensorChain":
         """Return the same sensors with an additional offset (3,), rad/s or m/s2."""
@@ -739,15 +732,12 @@ class SensorChain(Effect):
 
     def without_noise(self) -> "SensorChain":
         """Return the same sensors without noise, rounding and range limits. The unit of the reading does not change."""
-        step = self._per_code
-        free = Amplifier(gain=self._amplified.gain / step, null=self.null)
-        needed = self.amplifier is not None or step != 1.0
+        free = Amplifier(gain=self._amplified.gain / self._per_code, null=self.null)
+        needed = self.amplifier is not None or self._per_code != 1.0
         quiet = dict.fromkeys(("white_noise", "instability", "random_walk", "adc"))
         return replace(self, **quiet, amplifier=free if needed else None)  # type: ignore[arg-type]
 
 
 def effects_of(chain: SensorChain) -> tuple[str, ...]:
     """Return the names of the active effects, in order."""
-    names = [f.name for f in fields(chain) if f.name not in ("unit", "scale") and getattr(chain, f.name) is not None]
-    at = names.index("lever_arm") + 1 if "lever_arm" in names else 0
-    return (*names[:at], "scale", *names[at:])
+    return tuple(f.name for f in fields(chain) if f.name != "unit" and getattr(chain, f.name) is not None)

@@ -54,9 +54,7 @@ class TriadGrade:
     sensitivity: float  # nominal sensitivity of the sensor, output unit per rad/s or m/s2
     sensitivity_sd: float  # sensitivity, relative
     misalignment_sd: float  # angle of each axis about each perpendicular axis, rad
-    cross_axis_sd: float = 0.0  # each crosstalk term, relative
     nonlinearity_sd: float = 0.0  # quadratic deviation at full scale, relative to full scale
-    asymmetry_sd: float = 0.0  # asymmetry of the scale factor, relative
     offset_sd: float  # rad/s or m/s2
     offset_per_k_sd: float  # rad/s/K or m/s2/K
     offset_per_k2_sd: float = 0.0  # rad/s/K2 or m/s2/K2
@@ -292,15 +290,14 @@ def _chain(grade: TriadGrade, draw_named: Draw, name: str) -> SensorChain:
         nominal_sensitivity=grade.sensitivity,
         error=draw("sensitivity"),
         axes=axes / np.linalg.norm(axes, axis=1, keepdims=True),
-        cross_axis=draw("cross_axis", (3, 3)) * (1.0 - np.eye(3)) if grade.cross_axis_sd else np.zeros((3, 3)),
     )
     per_k = np.array([draw(power) for power in ("offset_per_k", "offset_per_k2")][: 2 if grade.offset_per_k2_sd else 1])
-    bend = Nonlinearity(quadratic=draw("nonlinearity") / grade.full_scale, asymmetry=draw("asymmetry"))
+    bend = Nonlinearity(quadratic=draw("nonlinearity") / grade.full_scale)
     cubic = np.zeros((3, 2, 3))
     cubic[2, 1] = draw("rate_drift") / grade.full_scale**2
     effects = {
         "lever_arm": (grade.lever_arm_sd, LeverArm(arms=draw("lever_arm", (3, 3)))),
-        "nonlinearity": (grade.nonlinearity_sd or grade.asymmetry_sd, bend),
+        "nonlinearity": (grade.nonlinearity_sd, bend),
         "g_sensitivity": (grade.g_sensitivity_sd, GSensitivity(matrix=draw("g_sensitivity", (3, 3)))),
         "thermal_scale": (grade.scale_per_k_sd, ThermalScale(per_k=draw("scale_per_k")[None, :])),
         "rate_drift": (grade.rate_drift_sd, RateDrift(coefficients=cubic)),

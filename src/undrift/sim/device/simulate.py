@@ -14,20 +14,17 @@ from typing import Literal
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, frozen
+from undrift.arrays import BoolArray, FloatArray, bridged, frozen
 from undrift.errors import InputError
 from undrift.record import Record
 from undrift.sim.device.effects import (
     Past,
     Scene,
     SensorChain,
-    converted,
     effects_of,
-    instant,
-    interval,
+    sampled,
     scene_of,
     step_means,
-    ticks_of,
 )
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.motion.motion import Motion
@@ -60,27 +57,20 @@ def draw_streams(rng: np.random.Generator) -> Streams:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Contribution:
-    """Contribution of an effect to a triad's readings."""
-
-    effect: str  # name of the effect: a field of ``SensorChain``, or sampling
-    value: FloatArray  # (M, 3), rad/s or m/s2, in nominal input units
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SimulatedTriad:
     """Results of a simulation for a triad, M samples."""
 
     # (M, 3), rate or specific force at the body's origin, rad/s or m/s2, frame b (the mean over the step if the
     # gyroscope averages)
     true: FloatArray
-    # contributions in the order of the chain, which together with the truth sum up to (reading - null) / gain
-    contributions: tuple[Contribution, ...]
+    # contribution of each effect in the order of the chain, (M, 3), rad/s or m/s2, in nominal input units. Together with the
+    # truth they sum up to (reading - null) / gain. "sampling" is the error of other sampling times.
+    contributions: dict[str, FloatArray]
     saturated: BoolArray  # (M, 3), True if a rail or the end of the codes limits the reading
 
     def of(self, effect: str) -> FloatArray:
         """Return the contribution of an effect, (M, 3)."""
-        return next((c.value for c in self.contributions if c.effect == effect), np.zeros_like(self.true))
+        return self.contributions.get(effect, np.zeros_like(self.true))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -155,7 +145,7 @@ def simulate_device(
     motion = motion if is_known.all() else _bridged(motion)
     scene = scene_of(motion, true_temp, model.reference_temp_c, power_on_s)
     streams, clock = draw_streams(rng), model.sampling
-    stamped, taken = ticks = ticks_of(clock, motion.time, streams.of("jitter"))
+    stamped, taken = ticks = clock.ticks(motion.time, streams.of("jitter"))
     rate = motion.mean_rate_b if clock.gyro_averaging == "interval" else motion.rate_b
     gyro_raw, gyro = _triad(model, "gyro", rate, scene, streams, ticks)
     has_force = bool(np.isfinite(motion.force_b).all())
@@ -168,7 +158,7 @@ def simulate_device(
         accel_raw, accel = _triad(model, "accel", force, scene, streams, ticks)
     else:
         accel_raw = np.full((len(taken), 3), np.nan)
-        accel = SimulatedTriad(true=accel_raw, contributions=(), saturated=np.zeros(accel_raw.shape, dtype=bool))
+        accel = SimulatedTriad(true=accel_raw, contributions={}, saturated=np.zeros(accel_raw.shape, dtype=bool))
     thermometer, past = model.thermometer, Past(streams.of("thermometer"))
     temp_readings = thermometer.shown(thermometer.felt(scene, past), past.rng)
     is_valid = np.interp(taken, motion.time, is_known.astype(float)) > 1.0 - 1e-9
@@ -195,7 +185,7 @@ def filtered(record: Record, device: DeviceModel) -> Record:
         chain: SensorChain = getattr(device, name)
         if (x := getattr(record, name)) is not None:
             x = x if chain.low_pass is None else chain.low_pass.apply(x, scene, Past(np.random.default_rng(0)))
-            behind[name] = x if chain.adc is None else converted(x, chain.adc)[0]
+            behind[name] = x if chain.adc is None else chain.adc.converted(x)[0]
     return replace(record, gyro=behind["gyro"], accel=behind.get("accel"))
 
 
@@ -210,52 +200,43 @@ def _triad(
     def on_ticks(x: FloatArray) -> FloatArray:  # linear interpolation keeps the sum of contributions exact
         return x if clock.on_grid else np.stack([np.interp(taken_s, scene.time, column) for column in x.T], axis=1)
 
-    late = chain.white_noise if chain.low_pass is None and not clock.on_grid else None
-    contributions: list[Contribution] = []
-    x = true
-    for effect, y in (replace(chain, white_noise=None) if late else chain).stages(x, scene, pasts):
-        contributions.append(Contribution(effect=effect, value=on_ticks(y - x)))
+    # without low-pass, the noise is independent from sample to sample on any grid of the motion
+    noise = chain.white_noise if chain.low_pass is None and not clock.on_grid else None
+    contributions, x = dict[str, FloatArray](), true
+    for effect, y in (replace(chain, white_noise=None) if noise else chain).stages(x, scene, pasts):
+        contributions[effect] = on_ticks(y - x)
         x = y
     taken = x
     if not clock.on_grid:
-        averaging = interval if getattr(clock, f"{name}_averaging") == "interval" else instant
-        taken = averaging(x, scene.time, taken_s, getattr(clock, f"{name}_delay_s"))
-        contributions.append(Contribution(effect="sampling", value=taken - on_ticks(x)))
-    if late:  # without low-pass, the noise is independent from sample to sample on any grid of the motion
+        averaging, delay_s = getattr(clock, f"{name}_averaging"), getattr(clock, f"{name}_delay_s")
+        taken = sampled(x, scene.time, taken_s, delay_s, averaging)
+        contributions["sampling"] = taken - on_ticks(x)
+    if noise:
         period_s = float((stamped[-1] - stamped[0]) / (len(stamped) - 1))
-        noisy = late.apply(taken, replace(scene, step_s=period_s), pasts["white_noise"])
-        contributions.append(Contribution(effect="white_noise", value=noisy - taken))
+        noisy = noise.apply(taken, replace(scene, step_s=period_s), pasts["white_noise"])
+        contributions["white_noise"] = noisy - taken
         taken = noisy
-    reading = chain.reading(taken)
-    saturated = np.zeros(reading.shape, dtype=bool)
-    for c in contributions:
-        if c.effect == "amplifier":  # the amplifier only clips at its rails
-            saturated |= c.value != 0.0
+    reading, saturated = chain.converted(taken)
+    if "amplifier" in contributions:  # the amplifier only clips at its rails
+        saturated |= contributions["amplifier"] != 0.0
     if chain.adc:
-        reading, beyond = converted(reading, chain.adc)
-        contributions.append(Contribution(effect="adc", value=(reading - chain.null) / chain.gain - taken))
-        saturated |= beyond
-    return reading, SimulatedTriad(true=on_ticks(true), contributions=tuple(contributions), saturated=saturated)
+        contributions["adc"] = (reading - chain.null) / chain.gain - taken
+    return reading, SimulatedTriad(true=on_ticks(true), contributions=contributions, saturated=saturated)
 
 
 def _bridged(motion: Motion) -> Motion:
     """Return a motion with linear interpolation in its gaps, so that filters stay finite. The readings are masked later."""
-    rate = _filled(motion.rate_b, motion.time)
+
+    def filled(x: FloatArray) -> FloatArray:
+        return bridged(motion.time, x) if np.isfinite(x).all(axis=1).any() else x
+
+    rate, swing = filled(motion.rate_b), motion.angular_acceleration_b
     if np.isnan(rate).any():
         raise InputError("motion: all samples are unknown. Use poses that are not only gaps.")
-    swing = motion.angular_acceleration_b
     return replace(
         motion,
         rate_b=rate,
         mean_rate_b=np.where(np.isfinite(motion.mean_rate_b), motion.mean_rate_b, rate),
-        force_b=_filled(motion.force_b, motion.time),
-        angular_acceleration_b=None if swing is None else _filled(swing, motion.time),
+        force_b=filled(motion.force_b),
+        angular_acceleration_b=None if swing is None else filled(swing),
     )
-
-
-def _filled(x: FloatArray, time: FloatArray) -> FloatArray:
-    """Return an array with interpolated gaps. If all rows are gaps, it is returned unchanged."""
-    finite = np.isfinite(x).all(axis=1)
-    if not finite.any():
-        return x
-    return np.stack([np.interp(time, time[finite], x[finite, k]) for k in range(x.shape[1])], axis=1)
