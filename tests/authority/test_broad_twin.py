@@ -15,18 +15,18 @@ import pytest
 
 from testkit.broad_trials import DEVICES, trial
 from testkit.data import show
-from undrift.twin.fit import Prepared, Twin, TwinSettings, fit_prepared, prepare_twin
+from undrift.twin.fit import Prepared, Twin, fit_prepared, prepare_twin
 from undrift.twin.held_out import compare_held_out
 
 pytestmark = pytest.mark.usefixtures("computed_once")
 
-SETTINGS = TwinSettings(gravity_m_s2=9.813)  # Berlin
+GRAVITY_M_S2 = 9.813  # Berlin
 
 
 @cache
 def prepared(device: str) -> Prepared:
     records, references = zip(*(trial(number) for number in DEVICES[device]), strict=True)
-    return prepare_twin(records, references, settings=SETTINGS, names=[f"{n:02d}" for n in DEVICES[device]])
+    return prepare_twin(records, references, gravity_m_s2=GRAVITY_M_S2, names=[f"{n:02d}" for n in DEVICES[device]])
 
 
 @cache

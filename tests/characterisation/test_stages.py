@@ -29,7 +29,7 @@ from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.bench import BenchSettings
 from undrift.sim.sessions import simulate_session, simulate_trial
 from undrift.sim.thermal import ChamberSettings, ThermalSettings, simulate_thermal_session
-from undrift.twin.fit import TwinSettings, fit_twin
+from undrift.twin.fit import fit_twin
 from undrift.units import STANDARD_GRAVITY
 from undrift.validation.agreement import validate_leave_one_out
 
@@ -235,7 +235,7 @@ def validated() -> Numbers:
 
 def twin() -> Numbers:
     record, reference = broad(35)
-    made = fit_twin([record], [reference], settings=TwinSettings(gravity_m_s2=9.813))
+    made = fit_twin([record], [reference], gravity_m_s2=9.813)
     return {
         "gyro delay seconds": made.delay,
         "gyro matrix": made.gyro.triad.model.matrix,

@@ -49,7 +49,7 @@ RESULTS = {
     "Trial",
     "TrialSettings",
     "TurnSearch",
-    "TwinSettings",
+    "Twin",
     "Validated",
     "Validation",
 }

@@ -9,7 +9,7 @@ from testkit.hand_turns import make_recording
 from undrift.errors import InputError, NotObservable
 from undrift.record import Reference
 from undrift.twin.accel import lever_matrix, match, prepare_accel, solve_accel
-from undrift.twin.fit import fit_twin, prepare_twin
+from undrift.twin.fit import fit_prepared, prepare_twin
 from undrift.twin.held_out import compare_held_out
 from undrift.units import STANDARD_GRAVITY
 
@@ -29,7 +29,7 @@ def fit_accel(recording):
 
 def test_records_and_references_must_match(pair):
     with pytest.raises(InputError, match="one reference"):
-        fit_twin([pair[0]], [])
+        prepare_twin([pair[0]], [])
 
 
 def test_a_record_needs_a_gyroscope(pair):
@@ -54,7 +54,7 @@ def test_one_recording_leaves_none_to_hold_out(pair):
 def test_poses_without_positions_tell_nothing_of_the_accelerometer(pair):
     with pytest.raises(InputError, match="positions of the reference"):
         fit_accel(match(*pair))
-    twin = fit_twin([pair[0]], [pair[1]])
+    twin = fit_prepared(prepare_twin([pair[0]], [pair[1]]))
     lost = {p.name: p.reason for p in twin.parameters if not p.identifiable}
     assert "positions of the reference" in lost["lever_arm"]
     assert twin.accel is None

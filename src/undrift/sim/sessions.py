@@ -18,21 +18,11 @@ from undrift.units import STANDARD_GRAVITY
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SimulatedTrial:
-    """A test trial and the truth about it.
+    """A test trial and the truth about it."""
 
-    Parameters
-    ----------
-    record : Record
-        Readings of the device.
-    reference : Reference
-        What the cameras saw.
-    motion : Motion
-        What was true, at the device's samples.
-    """
-
-    record: Record
-    reference: Reference
-    motion: Motion
+    record: Record  # readings of the device
+    reference: Reference  # poses of the cameras
+    motion: Motion  # true motion at the samples of the device
 
 
 def simulate_session(
@@ -56,14 +46,13 @@ def simulate_session(
     rng : Generator
         Draws motion and noise.
     settings : BenchSettings, optional
-        How the session is performed.
+        Rests, turns and errors of the bench.
     temp_c : float or (float, float), optional
-        Board temperature, degC: constant, or at start and end with an even rise; the reference temperature where not
-        given.
+        Board temperature, degC: constant, or at start and end with an even rise. Default: the reference temperature.
     power_on_s : float
         Time since power-on at the first sample, s.
     labelled : bool
-        False leaves stills and turns to be found in the data.
+        False returns a session without the labels of its stills and turns.
 
     Returns
     -------
@@ -114,15 +103,15 @@ def simulate_trial(
     rng : Generator
         Draws performance, noise and optics.
     sample_rate_hz : float
-        Of the device.
+        Sample rate of the device.
     gravity_m_s2 : float
-        m/s2.
+        Gravity, m/s2.
     optics : OpticsSettings, optional
-        What the cameras do.
+        Rate and errors of the cameras.
     temp_c : float or (float, float), optional
         Board temperature, degC, as in ``simulate_session``.
     subject : Subject, optional
-        Who performs it, one of a ``cohort``; somebody unknown where not given.
+        Person of a ``cohort`` who performs the task. Default: a person of typical age and height.
 
     Returns
     -------

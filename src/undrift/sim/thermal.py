@@ -330,7 +330,8 @@ def simulate_thermal_session(
     sensor_temp_c = thermometer.felt(scene, Past(rng))
     records: list[Record] = []
     labels: dict[str, list[Any]] = {"stills": [], "turns": []}
-    walks, previous_s = {"gyro": np.zeros(3), "accel": np.zeros(3)}, 0.0
+    walks: dict[str, FloatArray] = {name: np.zeros(3) for name in ("gyro", "accel")}
+    previous_s = 0.0
     for motion in legs:
         walks = _walk_on(device, walks, float(motion.time[0]) - previous_s, rng)
         simulated, first = _simulate_leg(motion, profile, _walked(device, walks), power_on_s, rng)

@@ -79,7 +79,7 @@ _OFFSET = {
     "offset": ("constant", "per_k"), "g_sensitivity": ("matrix",), "warm_up": ("amplitude",), "hysteresis": ("amplitude",),
     "instability": ("instability",), "random_walk": ("bias_walk",),
 }  # fmt: skip
-_SCALE = {
+_SCALE: dict[str, tuple[str, ...]] = {
     "scale": ("error",), "thermal_scale": ("per_k",), "nonlinearity": ("quadratic",),
     "rate_drift": ("coefficients",),
 }  # fmt: skip

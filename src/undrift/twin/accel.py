@@ -14,6 +14,7 @@ over blocks of a second.
 The motion is a spline through the poses (``sim.motion.poses``), evaluated at the record's time minus the gyroscopes' delay.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 
@@ -30,7 +31,7 @@ from undrift.frames import rotation
 from undrift.model import AdcModel, TriadModel
 from undrift.record import Record, Reference
 from undrift.sim.motion.motion import Motion
-from undrift.sim.motion.poses import PoseSettings, PoseSpline, fit_pose_spline
+from undrift.sim.motion.poses import PoseSettings, PoseSpline, fit_pose_spline, zero_phase
 
 # ---- a recording and the ideal motion of its reference, on one time axis
 
@@ -39,6 +40,8 @@ MAX_CUTOFF_SHARE = 0.4  # of the sample rate of poses or readings
 MIN_STRETCH_S = 1.0  # shorter stretches are not filtered
 EDGE_PERIODS = 1.5  # of the cut-off, left out at each end of a stretch
 SAMPLES_PER_PERIOD = 4.0  # of the cut-off
+ORDER = 2
+SIX_DB = (math.sqrt(2.0) - 1.0) ** (0.5 / ORDER)  # cut-off of ``zero_phase`` for an attenuation by 6 dB at 1 Hz
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -56,14 +59,21 @@ class Match(Aligned):
     @property
     def moving(self) -> BoolArray:
         """True within the motion, half a second of rest on either side included, shape (N,)."""
-        return np.asarray(
-            (self.record.time >= self.span.start_s - MARGIN_S) & (self.record.time < self.span.stop_s + MARGIN_S)
-        )
+        time = self.record.time
+        return np.asarray((time >= self.span.start_s - MARGIN_S) & (time < self.span.stop_s + MARGIN_S))
 
     @property
     def rest(self) -> Record:
         """Readings of the rest before the motion, the ADC's rounding corrected: truncation narrows noise about zero."""
         return replace(self.record, gyro=self.gyro).between(float(self.record.time[0]), self.span.start_s - MARGIN_S)
+
+    def stretches(self, motion: Motion, readings: FloatArray) -> Iterator[slice]:
+        """Yield stretches of the motion with poses and readings (N, C) that are long enough to be filtered."""
+        valid = self.moving & (np.asarray(motion.valid) > 0.0) & np.isfinite(readings).all(axis=1)
+        valid &= np.isfinite(motion.force_b).all(axis=1) | np.isnan(motion.force_b).all()
+        for start, stop in runs(valid):
+            if stop - start >= MIN_STRETCH_S * self.record.sample_rate_hz:
+                yield slice(int(start), int(stop))
 
 
 def match(record: Record, reference: Reference, name: str = "", *, adc: AdcModel | None = None) -> Match:
@@ -87,23 +97,11 @@ def pose_spline(reference: Reference, cutoff_hz: float) -> PoseSpline:
     return fit_pose_spline(reference, PoseSettings(cutoff_hz=cutoff_hz, position_cutoff_hz=cutoff_hz))
 
 
-def stretches(match: Match, motion: Motion, readings: FloatArray) -> Iterator[slice]:
-    """Yield stretches of the motion with poses and readings (N, C) that are long enough to be filtered."""
-    valid = match.moving & (np.asarray(motion.valid) > 0.0) & np.isfinite(readings).all(axis=1)
-    valid &= np.isfinite(motion.force_b).all(axis=1) | np.isnan(motion.force_b).all()
-    for start, stop in runs(valid):
-        if stop - start >= MIN_STRETCH_S * match.record.sample_rate_hz:
-            yield slice(int(start), int(stop))
-
-
 def low_passed(values: FloatArray, cutoff_hz: float, sample_rate_hz: float) -> tuple[FloatArray, IntArray]:
     """Return columns (N, C) low-passed without delay, a few samples per period without the ends, and their rows."""
-    from scipy.signal import butter, sosfiltfilt
-
-    edge = int(np.ceil(EDGE_PERIODS * sample_rate_hz / cutoff_hz))
+    edge = math.ceil(EDGE_PERIODS * sample_rate_hz / cutoff_hz)
     rows: IntArray = np.arange(edge, len(values) - edge, max(1, int(sample_rate_hz / (SAMPLES_PER_PERIOD * cutoff_hz))))
-    filtered: FloatArray = sosfiltfilt(butter(2, cutoff_hz, fs=sample_rate_hz, output="sos"), values, axis=0)[rows]
-    return filtered, rows
+    return zero_phase(values, SIX_DB * cutoff_hz, sample_rate_hz=sample_rate_hz, order=ORDER)[rows], rows
 
 
 # ---- the fit
@@ -115,20 +113,13 @@ MIN_BLOCKS = 20
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AccelRows:
-    """Equations of a recording."""
+    """Equations of a recording, linearised at a delay."""
 
     design: FloatArray  # (K, 3, 16), matrix row by row, c, lever arm, delay; frame n
     force: FloatArray  # (K, 3), p'' + g z, m/s2
     block: IntArray  # (K,), number of the second that each row belongs to
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PreparedAccel:
-    """Equations of several recordings, and the delay at which they were linearised."""
-
-    rows: tuple[AccelRows, ...]  # one for each recording
     delay: float  # beyond the gyroscopes', s
-    gravity_m_s2: float  # m/s2
+    gravity_m_s2: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -154,14 +145,14 @@ def lever_matrix(motion: Motion) -> FloatArray:
     return np.asarray(outer + np.stack((zero, -z, y, z, zero, -x, -y, x, zero), axis=1).reshape(-1, 3, 3))
 
 
-def accel_rows(match: Match, *, delay_s: float, matrix: FloatArray, gravity_m_s2: float, cutoff_hz: float) -> AccelRows:
-    """Return the equations of a recording, linearised at a delay and a matrix."""
+def accel_rows(match: Match, *, delay: float, matrix: FloatArray, gravity_m_s2: float, cutoff_hz: float) -> AccelRows:
+    """Return the equations of a recording, linearised at a delay beyond the gyroscopes' and at a matrix."""
     readings = match.record.accel
     if readings is None or match.reference.position is None:
         raise InputError("accel fit: needs accel readings and positions of the reference. One of them is missing.")
-    motion, rate = match.at(delay_s, gravity_m_s2), match.record.sample_rate_hz
+    motion, rate = match.at(match.lag.seconds + delay, gravity_m_s2), match.record.sample_rate_hz
     lever, tables, times = lever_matrix(motion), [], []
-    for rows in stretches(match, motion, readings):
+    for rows in match.stretches(motion, readings):
         r_nb = rotation(motion.q_nb[rows]).as_matrix()
         slope = np.gradient(readings[rows], axis=0) * rate @ matrix.T
         columns = (
@@ -171,30 +162,34 @@ def accel_rows(match: Match, *, delay_s: float, matrix: FloatArray, gravity_m_s2
             np.einsum("nij,nj->ni", r_nb, slope)[:, :, None],
             np.einsum("nij,nj->ni", r_nb, motion.force_b[rows])[:, :, None],
         )
-        table, keep_mask = low_passed(np.concatenate(columns, axis=2).reshape(-1, 51), cutoff_hz, rate)
-        tables.append(table.reshape(len(keep_mask), 3, 17))
-        times.append(match.record.time[rows][keep_mask])
+        table, kept_rows = low_passed(np.concatenate(columns, axis=2).reshape(-1, 51), cutoff_hz, rate)
+        tables.append(table.reshape(len(kept_rows), 3, 17))
+        times.append(match.record.time[rows][kept_rows])
     if not tables:
         raise NotObservable("accel fit: no second of motion has poses throughout. Record longer motion.")
     table, block = np.concatenate(tables), np.floor(np.concatenate(times) / BLOCK_S).astype(np.int64)
-    return AccelRows(design=table[:, :, :16], force=table[:, :, 16], block=block)
+    return AccelRows(
+        design=table[:, :, :16], force=table[:, :, 16], block=block, delay=delay, gravity_m_s2=gravity_m_s2
+    )
 
 
-def prepare_accel(matches: Sequence[Match], *, gravity_m_s2: float, cutoff_hz: float = CUTOFF_HZ) -> PreparedAccel:
-    """Return the equations of several recordings, linearised at the delay that fits them all."""
+def prepare_accel(
+    matches: Sequence[Match], *, gravity_m_s2: float, cutoff_hz: float = CUTOFF_HZ
+) -> tuple[AccelRows, ...]:
+    """Return the equations of each recording, linearised at the delay that fits all recordings."""
 
     def equations(delay: float, matrix: FloatArray) -> tuple[AccelRows, ...]:
-        how = {"matrix": matrix, "gravity_m_s2": gravity_m_s2, "cutoff_hz": cutoff_hz}
-        return tuple(accel_rows(m, delay_s=m.lag.seconds + delay, **how) for m in matches)  # type: ignore[arg-type]
+        return tuple(
+            accel_rows(item, delay=delay, matrix=matrix, gravity_m_s2=gravity_m_s2, cutoff_hz=cutoff_hz)
+            for item in matches
+        )
 
     x = _solve(equations(0.0, np.eye(3)))[0]
-    delay = float(x[15])
-    return PreparedAccel(rows=equations(delay, x[:9].reshape(3, 3)), delay=delay, gravity_m_s2=gravity_m_s2)
+    return equations(float(x[15]), x[:9].reshape(3, 3))
 
 
-def solve_accel(prepared: PreparedAccel, *, chosen: Sequence[int] | None = None) -> AccelFit:
-    """Solve the equations of all recordings, or of a subset."""
-    rows = [prepared.rows[k] for k in (range(len(prepared.rows)) if chosen is None else chosen)]
+def solve_accel(rows: Sequence[AccelRows]) -> AccelFit:
+    """Solve the equations of several recordings."""
     x, covariance, condition = _solve(rows)
     matrix = x[:9].reshape(3, 3)
     offset, jacobian = offset_of(matrix, x[9:12], 16)
@@ -206,11 +201,11 @@ def solve_accel(prepared: PreparedAccel, *, chosen: Sequence[int] | None = None)
         covariance=covariance[:12, :12], rank=16, condition=condition,
         valid_range=(float(force.min()), float(force.max())),
     )  # fmt: skip
-    level = np.array([0.0, 0.0, prepared.gravity_m_s2])
+    level = np.array([0.0, 0.0, rows[0].gravity_m_s2])
     return AccelFit(
         model=fit.model,
         lever_arm=x[12:15],
-        delay=prepared.delay + float(x[15]),
+        delay=rows[0].delay + float(x[15]),
         covariance=covariance,
         residual_rms=np.array([np.sqrt((values**2).mean()) for values in residuals]),
         signal_rms=np.array([np.sqrt(((item.force - level) ** 2).mean()) for item in rows]),

@@ -11,11 +11,12 @@ Every parameter has a standard error, or a reason why these recordings do not id
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration.codes import device_adc, identify_adc
+from undrift.calibration.codes import CodeGrid, device_adc, identify_adc
 from undrift.calibration.reference import ReferenceFit, ReferenceSettings, fit_aligned
 from undrift.errors import CalibrationError, InputError
 from undrift.frames import rotate
@@ -25,17 +26,18 @@ from undrift.twin.accel import (
     CUTOFF_HZ,
     MAX_CUTOFF_SHARE,
     AccelFit,
+    AccelRows,
     Match,
-    PreparedAccel,
     low_passed,
     match,
     prepare_accel,
     solve_accel,
-    stretches,
 )
 from undrift.units import STANDARD_GRAVITY
 
-# ---- parameters of a twin
+GYRO_CUTOFF_HZ = 20.0  # of the gyroscope residuals
+BLOCK_S = 0.25  # of rest: people and floors move a device more slowly
+MIN_REST_S = 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,9 +45,9 @@ class TwinParameter:
     """One parameter of the device model."""
 
     name: str
-    value: float | str  # NaN if it is not identified
-    standard_error: float  # same unit
     unit: str  # "1" for a ratio, "" for a word
+    value: float | str = math.nan  # NaN if it is not identified
+    standard_error: float = math.nan  # same unit
     reason: str = ""  # reason if the recordings do not identify it (otherwise empty)
 
     @property
@@ -54,44 +56,163 @@ class TwinParameter:
         return isinstance(self.value, str) or not math.isnan(self.value)
 
 
-def known(name: str, value: float | str, error: float, unit: str) -> TwinParameter:
-    """Return a parameter that the recordings identify."""
-    return TwinParameter(name=name, value=value, standard_error=float(error), unit=unit)
-
-
-def unknown(name: str, unit: str, reason: str) -> TwinParameter:
-    """Return a parameter that the recordings do not identify."""
-    return TwinParameter(name=name, value=float("nan"), standard_error=float("nan"), unit=unit, reason=reason)
-
-
-def triad_parameters(prefix: str, model: TriadModel, covariance: FloatArray, unit: str) -> list[TwinParameter]:
-    """Return matrix and offset of a fitted triad, with the covariance of at least 12 parameters."""
-    sigma = np.sqrt(np.maximum(np.diag(covariance)[:12], 0.0))
-    names = [*(f"{prefix}_matrix_{name[-2:]}" for name in MATRIX_NAMES), *(f"{prefix}_offset_{axis}" for axis in AXES)]
-    values = np.concatenate((model.matrix.ravel(), model.offset))
-    units = ("1",) * 9 + (unit,) * 3
-    return [known(*row) for row in zip(names, values.tolist(), sigma.tolist(), units, strict=True)]
-
-
-def mean_with_error(values: FloatArray, errors: FloatArray) -> tuple[float, float]:
-    """Return the mean of several estimates (R,) and its standard error, the larger of their errors' and their scatter's."""
-    claimed = float(np.sqrt((errors**2).sum())) / len(values)
-    scatter = float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0
-    return float(values.mean()), max(claimed, scatter)
-
-
-# ---- white noise at rest
-
-BLOCK_S = 0.25  # people and floors move a device more slowly
-MIN_REST_S = 2.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RestNoise:
+class RestNoise(NamedTuple):
     """White noise of a triad that gives the scatter at rest at the sample rate of the recordings."""
 
     random_walk: FloatArray  # (3,), N, unit/sqrt(Hz)
     random_walk_error: FloatArray  # (3,), standard error
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Prepared:
+    """Recordings of a device, aligned once for fits to all or to some of them."""
+
+    matches: tuple[Match, ...]
+    adc: AdcModel | None  # rounding of the gyroscope codes
+    accel: tuple[AccelRows, ...]  # equations of the accelerometer, one for each recording (empty: refused)
+    accel_refused: str  # reason if no accelerometers were fitted
+    gravity_m_s2: float
+    gyro_cutoff_hz: float  # of the residuals
+    accel_cutoff_hz: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Twin:
+    """A device model fitted to R recordings of a real device."""
+
+    gyro: ReferenceFit  # matrix, offsets, lags
+    accel: AccelFit | None  # matrix, offset, lever arm, delay
+    adc: AdcModel | None  # rounding of the gyroscope codes
+    gyro_noise: RestNoise | None  # white noise at rest
+    accel_noise: RestNoise | None
+    parameters: tuple[TwinParameter, ...]  # with standard errors, or with the reason why they are not identified
+    # (R,), corrected readings minus the rate of the poses, per axis, rad/s, after a low-pass
+    gyro_residual_rms: FloatArray
+    gyro_signal_rms: FloatArray  # (R,), the rate of the poses after the same low-pass, per axis, rad/s
+    prepared: Prepared
+
+    @property
+    def delay(self) -> float:
+        """Mean delay of the gyroscopes, s."""
+        return float(self.gyro.lags_s.mean())
+
+
+def fit_twin(
+    records: Sequence[Record],
+    references: Sequence[Reference],
+    *,
+    gravity_m_s2: float = STANDARD_GRAVITY,
+    names: Sequence[str] = (),
+) -> Twin:
+    """Fit the device model to a real device.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Raw recordings of one device in one mounting. Without a rest, a recording has the offset of the device in motion.
+    references : sequence of Reference
+        One for each record.
+    gravity_m_s2 : float
+        Local gravity: the accelerometer's scale is proportional to it.
+    names : sequence of str
+        Names of the recordings.
+
+    Returns
+    -------
+    Twin
+        Parameters with standard errors.
+
+    Raises
+    ------
+    InputError
+        If the sequences do not match, a record has no gyroscope, or its readings are counts.
+    AlignmentError
+        If a record and its reference share no motion.
+    NotObservable
+        If the motion leaves the gyroscope matrix undetermined.
+    """
+    return fit_prepared(prepare_twin(records, references, gravity_m_s2=gravity_m_s2, names=names))
+
+
+def prepare_twin(
+    records: Sequence[Record],
+    references: Sequence[Reference],
+    *,
+    gravity_m_s2: float = STANDARD_GRAVITY,
+    names: Sequence[str] = (),
+) -> Prepared:
+    """Align recordings of a device with their references."""
+    if not records or len(records) != len(references):
+        raise InputError(
+            f"twin: each record needs one reference, got {len(records)} records and {len(references)} references."
+        )
+    adc = device_adc(records)
+    labels = list(names) or [""] * len(records)
+    matches = tuple(match(*item, adc=adc) for item in zip(records, references, labels, strict=True))
+    highest_hz = MAX_CUTOFF_SHARE * min(record.sample_rate_hz for record in records)
+    accel_cutoff_hz = min(CUTOFF_HZ, highest_hz)
+    accel: tuple[AccelRows, ...] = ()
+    refused = ""
+    try:
+        accel = prepare_accel(matches, gravity_m_s2=gravity_m_s2, cutoff_hz=accel_cutoff_hz)
+    except (InputError, CalibrationError) as error:
+        refused = str(error)
+    return Prepared(
+        matches=matches,
+        adc=adc,
+        accel=accel,
+        accel_refused=refused,
+        gravity_m_s2=gravity_m_s2,
+        gyro_cutoff_hz=min(GYRO_CUTOFF_HZ, highest_hz),
+        accel_cutoff_hz=accel_cutoff_hz,
+    )
+
+
+def fit_prepared(prepared: Prepared, *, chosen: Sequence[int] | None = None) -> Twin:
+    """Fit the device model to all recordings, or to a subset."""
+    numbers = range(len(prepared.matches)) if chosen is None else chosen
+    matches = [prepared.matches[k] for k in numbers]
+    gyro = fit_aligned(matches, ReferenceSettings(mounting="one", turning=False))
+    accel = solve_accel([prepared.accel[k] for k in numbers]) if prepared.accel else None
+    rests, first = [item.rest for item in matches if item.span.rested], matches[0].record
+    grids = {
+        name: identify_adc(readings) for name in ("gyro", "accel") if (readings := getattr(first, name)) is not None
+    }
+    steps = {name: 0.0 if grid.lsb is None else float(grid.lsb.mean()) for name, grid in grids.items()}
+    noise = {name: rest_noise(rests, name, step=steps.get(name, 0.0)) for name in ("gyro", "accel")}
+    residual, signal = np.array([gyro_residual(item, gyro, prepared) for item in matches]).T
+    return Twin(
+        gyro=gyro,
+        accel=accel,
+        adc=prepared.adc,
+        gyro_noise=noise["gyro"],
+        accel_noise=noise["accel"],
+        parameters=(
+            *_gyro_rows(gyro),
+            *_accel_rows(gyro, accel, prepared.accel_refused),
+            *_noise_rows("gyro_angle_random_walk", "rad/s/sqrt(Hz)", noise["gyro"]),
+            *_noise_rows("accel_velocity_random_walk", "m/s2/sqrt(Hz)", noise["accel"]),
+            *_code_rows(grids, prepared.adc),
+        ),
+        gyro_residual_rms=residual,
+        gyro_signal_rms=signal,
+        prepared=prepared,
+    )
+
+
+def gyro_residual(match: Match, fit: ReferenceFit, prepared: Prepared) -> tuple[float, float]:
+    """Return rms of corrected readings minus the rate of the poses, and of that rate, after a low-pass, rad/s."""
+    motion = match.at(match.lag.seconds, prepared.gravity_m_s2)
+    model = fit.model_at_rest_offset(match.rest_offset)
+    corrected = (match.gyro - model.offset) @ model.matrix.T
+    columns: list[FloatArray] = [np.empty((0, 6))]
+    for rows in match.stretches(motion, match.gyro):
+        both = np.hstack([rotate(motion.q_nb[rows], rate[rows]) for rate in (corrected, motion.rate_b)])
+        columns.append(low_passed(both, prepared.gyro_cutoff_hz, match.record.sample_rate_hz)[0])
+    readings, poses = np.hsplit(np.concatenate(columns), 2)
+    if not len(poses):
+        return float("nan"), float("nan")
+    return float(np.sqrt(((readings - poses) ** 2).mean())), float(np.sqrt((poses**2).mean()))
 
 
 def rest_noise(records: Sequence[Record], channel: str, *, step: float = 0.0) -> RestNoise | None:
@@ -112,234 +233,79 @@ def rest_noise(records: Sequence[Record], channel: str, *, step: float = 0.0) ->
     table = np.concatenate(variances)
     median = np.median(table, axis=0) / (1.0 - 2.0 / (9.0 * freedom)) ** 3  # Wilson and Hilferty: median of chi-square
     walk = np.sqrt(np.maximum(median - step**2 / (12.0 * records[0].sample_rate_hz), 0.0))
-    return RestNoise(random_walk=walk, random_walk_error=1.25 * walk / np.sqrt(2.0 * freedom * len(table)))
-
-
-# ---- fit
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TwinSettings:
-    """Settings of the fit of a twin."""
-
-    gravity_m_s2: float = STANDARD_GRAVITY  # local gravity: the accelerometer's scale is proportional to it
-    gyro_cutoff_hz: float = 20.0  # low-pass for the gyroscope residuals, Hz
-    accel_cutoff_hz: float = CUTOFF_HZ  # low-pass of the accelerometer fit, Hz
-
-
-TWIN_SETTINGS = TwinSettings()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Prepared:
-    """Recordings of a device, aligned once for fits to all or to some of them."""
-
-    matches: tuple[Match, ...]
-    adc: AdcModel | None  # rounding of the gyroscope codes
-    accel: PreparedAccel | None  # equations of the accelerometer
-    accel_refused: str  # reason if no accelerometers were fitted
-    settings: TwinSettings  # cut-offs that the slowest recording allows
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Twin:
-    """A device model fitted to a real device.
-
-    Parameters
-    ----------
-    gyro : ReferenceFit
-        Matrix, offsets, lags.
-    accel : AccelFit or None
-        Matrix, offset, lever arm, delay.
-    adc : AdcModel or None
-        Rounding of the gyroscope codes.
-    gyro_noise, accel_noise : RestNoise or None
-        White noise at rest.
-    parameters : tuple of TwinParameter
-        All parameters with standard errors, or with the reason why they are not identified.
-    gyro_residual_rms : array, shape (R,)
-        Corrected readings minus the rate of the poses, per axis, rad/s, after a low-pass; one for each recording.
-    gyro_signal_rms : array, shape (R,)
-        The rate of the poses after the same low-pass, per axis, rad/s.
-    settings : TwinSettings
-        Gravity and cut-offs of the fit.
-    """
-
-    gyro: ReferenceFit
-    accel: AccelFit | None
-    adc: AdcModel | None
-    gyro_noise: RestNoise | None
-    accel_noise: RestNoise | None
-    parameters: tuple[TwinParameter, ...]
-    gyro_residual_rms: FloatArray
-    gyro_signal_rms: FloatArray
-    settings: TwinSettings
-
-    @property
-    def delay(self) -> float:
-        """Mean delay of the gyroscopes, s."""
-        return float(self.gyro.lags_s.mean())
-
-
-def fit_twin(
-    records: Sequence[Record],
-    references: Sequence[Reference],
-    *,
-    settings: TwinSettings = TWIN_SETTINGS,
-    names: Sequence[str] = (),
-) -> Twin:
-    """Fit the device model to a real device.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        Raw recordings of one device in one mounting. Without a rest, one has the device's offset in motion.
-    references : sequence of Reference
-        One for each record.
-    settings : TwinSettings
-        Gravity and cut-offs.
-    names : sequence of str
-        Names of the recordings.
-
-    Returns
-    -------
-    Twin
-        Parameters with standard errors.
-
-    Raises
-    ------
-    InputError
-        Sequences that do not match, no gyroscope, or counts.
-    AlignmentError
-        A record and its reference share no motion.
-    NotObservable
-        The motion leaves the gyroscope matrix undetermined.
-    """
-    return fit_prepared(prepare_twin(records, references, settings=settings, names=names))
-
-
-def prepare_twin(
-    records: Sequence[Record],
-    references: Sequence[Reference],
-    *,
-    settings: TwinSettings = TWIN_SETTINGS,
-    names: Sequence[str] = (),
-) -> Prepared:
-    """Align recordings of a device with their references."""
-    if not records or len(records) != len(references):
-        raise InputError(
-            f"twin: each record needs one reference, got {len(records)} records and {len(references)} references."
-        )
-    adc = device_adc(records)
-    labels = list(names) or [""] * len(records)
-    matches = tuple(match(*item, adc=adc) for item in zip(records, references, labels, strict=True))
-    highest_hz = MAX_CUTOFF_SHARE * min(record.sample_rate_hz for record in records)
-    settings = TwinSettings(
-        gravity_m_s2=settings.gravity_m_s2,
-        gyro_cutoff_hz=min(settings.gyro_cutoff_hz, highest_hz),
-        accel_cutoff_hz=min(settings.accel_cutoff_hz, highest_hz),
-    )
-    accel, refused = None, ""
-    try:
-        accel = prepare_accel(matches, gravity_m_s2=settings.gravity_m_s2, cutoff_hz=settings.accel_cutoff_hz)
-    except (InputError, CalibrationError) as error:
-        refused = str(error)
-    return Prepared(matches=matches, adc=adc, accel=accel, accel_refused=refused, settings=settings)
-
-
-def fit_prepared(prepared: Prepared, *, chosen: Sequence[int] | None = None) -> Twin:
-    """Fit the device model to all recordings, or to a subset."""
-    numbers = list(range(len(prepared.matches)) if chosen is None else chosen)
-    matches = [prepared.matches[k] for k in numbers]
-    gyro = fit_aligned(matches, ReferenceSettings(mounting="one", turning=False))
-    accel = None if prepared.accel is None else solve_accel(prepared.accel, chosen=numbers)
-    rests = [item.rest for item in matches if item.span.rested]
-    codes, parameters = _adc_parameters(matches[0].record, prepared.adc)
-    noise = {name: rest_noise(rests, name, step=codes[name]) for name in ("gyro", "accel")}
-    fitted = _gyro_parameters(gyro) + _accel_parameters(gyro, accel, prepared.accel_refused)
-    scatter = _noise_parameters("gyro_angle", "rad/s", noise["gyro"])
-    scatter += _noise_parameters("accel_velocity", "m/s2", noise["accel"])
-    residual, signal = np.array([gyro_residual(item, gyro, prepared.settings) for item in matches]).T
-    return Twin(
-        gyro=gyro,
-        accel=accel,
-        adc=prepared.adc,
-        gyro_noise=noise["gyro"],
-        accel_noise=noise["accel"],
-        parameters=(*fitted, *scatter, *parameters),
-        gyro_residual_rms=residual,
-        gyro_signal_rms=signal,
-        settings=prepared.settings,
-    )
-
-
-def gyro_residual(match: Match, fit: ReferenceFit, settings: TwinSettings) -> tuple[float, float]:
-    """Return rms of corrected readings minus the rate of the poses, and of that rate, after a low-pass, rad/s."""
-    motion = match.at(match.lag.seconds, settings.gravity_m_s2)
-    model = fit.model_at_rest_offset(match.rest_offset)
-    corrected = (match.gyro - model.offset) @ model.matrix.T
-    columns: list[FloatArray] = [np.empty((0, 6))]
-    for rows in stretches(match, motion, match.gyro):
-        both = np.hstack([rotate(motion.q_nb[rows], rate[rows]) for rate in (corrected, motion.rate_b)])
-        columns.append(low_passed(both, settings.gyro_cutoff_hz, match.record.sample_rate_hz)[0])
-    readings, poses = np.hsplit(np.concatenate(columns), 2)
-    if not len(poses):
-        return float("nan"), float("nan")
-    return float(np.sqrt(((readings - poses) ** 2).mean())), float(np.sqrt((poses**2).mean()))
+    return RestNoise(walk, 1.25 * walk / np.sqrt(2.0 * freedom * len(table)))
 
 
 # ---- the table of parameters
 
 
-def _gyro_parameters(fit: ReferenceFit) -> list[TwinParameter]:
-    model = fit.triad.model
-    rows = [known("gyro_delay", *mean_with_error(fit.lags_s, fit.lag_uncertainties_s), "s")]
-    rows += triad_parameters("gyro", model, model.covariance, "rad/s")
-    if not np.isfinite(fit.rest_offsets).all(axis=1).any():
-        return [
-            *rows,
-            unknown("gyro_motion_offset", "rad/s", "the recordings have no rest: the offset is that in motion"),
-        ]
-    errors = np.sqrt(np.maximum(np.diag(model.covariance)[9:12], 0.0))
-    moved = zip(AXES, fit.motion_offset.tolist(), errors.tolist(), strict=True)
-    return rows + [known(f"gyro_motion_offset_{axis}", value, error, "rad/s") for axis, value, error in moved]
+def mean_with_error(values: FloatArray, errors: FloatArray) -> tuple[float, float]:
+    """Return the mean of several estimates (R,) and its standard error, the larger of their errors' and their scatter's."""
+    claimed = float(np.sqrt((errors**2).sum())) / len(values)
+    scatter = float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0
+    return float(values.mean()), max(claimed, scatter)
 
 
-def _accel_parameters(gyro: ReferenceFit, fit: AccelFit | None, refused: str) -> list[TwinParameter]:
-    if fit is None:
-        return [unknown("accel_matrix", "1", refused), unknown("lever_arm", "m", refused)]
-    sigma = np.sqrt(np.diag(fit.covariance))
-    delay, error = mean_with_error(gyro.lags_s, gyro.lag_uncertainties_s)
-    rows = [known("accel_delay", delay + fit.delay, float(np.hypot(sigma[15], error)), "s")]
-    rows += triad_parameters("accel", fit.model, fit.covariance, "m/s2")
-    return rows + [
-        known(f"lever_arm_{axis}", float(fit.lever_arm[i]), sigma[12 + i], "m") for i, axis in enumerate(AXES)
+def _rows(name: str, unit: str, values: FloatArray, errors: FloatArray) -> list[TwinParameter]:
+    """Return the parameters of three axes, or of a matrix row by row."""
+    labels = AXES if len(values) == 3 else [entry[-2:] for entry in MATRIX_NAMES]
+    return [
+        TwinParameter(name=f"{name}_{label}", unit=unit, value=value, standard_error=error)
+        for label, value, error in zip(labels, values.tolist(), errors.tolist(), strict=True)
     ]
 
 
-def _noise_parameters(prefix: str, unit: str, noise: RestNoise | None) -> list[TwinParameter]:
-    name, unit = f"{prefix}_random_walk", f"{unit}/sqrt(Hz)"
+def _triad_rows(name: str, unit: str, model: TriadModel, errors: FloatArray) -> list[TwinParameter]:
+    matrix = _rows(f"{name}_matrix", "1", model.matrix.ravel(), errors[:9])
+    return matrix + _rows(f"{name}_offset", unit, model.offset, errors[9:12])
+
+
+def _gyro_rows(fit: ReferenceFit) -> list[TwinParameter]:
+    model = fit.triad.model
+    errors = np.sqrt(np.maximum(np.diag(model.covariance), 0.0))
+    delay, delay_error = mean_with_error(fit.lags_s, fit.lag_uncertainties_s)
+    rows = [TwinParameter(name="gyro_delay", unit="s", value=delay, standard_error=delay_error)]
+    rows += _triad_rows("gyro", "rad/s", model, errors)
+    if np.isfinite(fit.rest_offsets).all(axis=1).any():
+        return rows + _rows("gyro_motion_offset", "rad/s", fit.motion_offset, errors[9:12])
+    reason = "No recording rests: the offset is that in motion"
+    return [*rows, TwinParameter(name="gyro_motion_offset", unit="rad/s", reason=reason)]
+
+
+def _accel_rows(gyro: ReferenceFit, fit: AccelFit | None, refused: str) -> list[TwinParameter]:
+    if fit is None:
+        return [
+            TwinParameter(name=name, unit=unit, reason=refused)
+            for name, unit in (("accel_matrix", "1"), ("lever_arm", "m"))
+        ]
+    errors = np.sqrt(np.diag(fit.covariance))
+    delay, delay_error = mean_with_error(gyro.lags_s, gyro.lag_uncertainties_s)
+    error = math.hypot(errors[15], delay_error)
+    rows = [TwinParameter(name="accel_delay", unit="s", value=delay + fit.delay, standard_error=error)]
+    return (
+        rows + _triad_rows("accel", "m/s2", fit.model, errors) + _rows("lever_arm", "m", fit.lever_arm, errors[12:15])
+    )
+
+
+def _noise_rows(name: str, unit: str, noise: RestNoise | None) -> list[TwinParameter]:
     if noise is None:
-        return [unknown(name, unit, f"no {MIN_REST_S:g} s of rest without gaps in which every reading changes")]
-    rows = zip(AXES, noise.random_walk.tolist(), noise.random_walk_error.tolist(), strict=True)
-    return [known(f"{name}_{axis}", value, error, unit) for axis, value, error in rows]
+        reason = f"no {MIN_REST_S:g} s of rest without gaps in which every reading changes"
+        return [TwinParameter(name=name, unit=unit, reason=reason)]
+    return _rows(name, unit, noise.random_walk, noise.random_walk_error)
 
 
-def _adc_parameters(record: Record, adc: AdcModel | None) -> tuple[dict[str, float], list[TwinParameter]]:
-    """Return the step of each triad's codes, 0 if there is none, and the parameters of the codes."""
-    steps, rows = {"gyro": 0.0, "accel": 0.0}, list[TwinParameter]()
-    for name, unit in (("gyro", "rad/s"), ("accel", "m/s2")):
-        readings = getattr(record, name)
-        if readings is None:
+def _code_rows(grids: dict[str, CodeGrid], adc: AdcModel | None) -> list[TwinParameter]:
+    """Return step and rounding of the codes of each triad."""
+    rows = []
+    for name, grid in grids.items():
+        unit, lsb = "rad/s" if name == "gyro" else "m/s2", grid.lsb
+        if lsb is None:
+            rows.append(TwinParameter(name=f"{name}_lsb", unit=unit, reason=grid.reason))
             continue
-        codes = identify_adc(readings)
-        if codes.lsb is None:
-            rows.append(unknown(f"{name}_lsb", unit, codes.reason))
-            continue
-        steps[name] = float(codes.lsb.mean())
-        rows.append(known(f"{name}_lsb", steps[name], float(codes.lsb.std()), unit))
-        adc_rounding = adc.gyro_rounding if name == "gyro" and adc is not None and adc.gyro_lsb is not None else None
-        rounding = adc_rounding or codes.rounding
-        word = f"{name}_rounding"
-        rows.append(known(word, rounding, float("nan"), "") if rounding else unknown(word, "", codes.reason))
-    return steps, rows
+        step, spread = float(lsb.mean()), float(lsb.std())
+        rows.append(TwinParameter(name=f"{name}_lsb", unit=unit, value=step, standard_error=spread))
+        known = adc.gyro_rounding if name == "gyro" and adc is not None and adc.gyro_lsb is not None else None
+        rounding = known or grid.rounding
+        reason = "" if rounding else grid.reason
+        rows.append(TwinParameter(name=f"{name}_rounding", unit="", value=rounding or math.nan, reason=reason))
+    return rows

@@ -7,7 +7,7 @@ The first is the largest difference of sagittal pitch in a window while the vert
 the body.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -101,12 +101,10 @@ def compare_held_out(
         valid = match.moving & (np.asarray(motion.valid) > 0.0)
         valid &= np.isfinite(real).all(axis=1) & np.isfinite(simulated).all(axis=1)
         for length_s in lengths_s:
-            parts = [_windows(motion, real, simulated, slice(a, b), length_s) for a, b in runs(valid)]
-            table = np.concatenate([np.empty((0, 4)), *parts])
-            if len(table):
-                trials.append(
-                    HeldOutTrial(recording=match.name, window_s=length_s, pitch=table[:, 0], end=table[:, 1:])
-                )
+            windows = [_windows(motion, real, simulated, slice(*stretch), length_s) for stretch in runs(valid)]
+            if table := [row for rows in windows for row in rows]:
+                pitch, end = np.hsplit(np.array(table), [1])
+                trials.append(HeldOutTrial(recording=match.name, window_s=length_s, pitch=pitch[:, 0], end=end))
     return tuple(trials)
 
 
@@ -118,7 +116,7 @@ def _rates(
     rate_hz = match.record.sample_rate_hz
     lag_s = twin.delay if abs(match.lag.seconds - twin.delay) < SHARED_CLOCK_S else match.lag.seconds
     spline = pose_spline(replace(match.reference, position=None), MOTION_CUTOFF_HZ)
-    motion = spline.at(match.record.time - (lag_s - 0.5 / rate_hz), twin.settings.gravity_m_s2)
+    motion = spline.at(match.record.time - (lag_s - 0.5 / rate_hz), prepared.gravity_m_s2)
     # without delay: the motion is evaluated at the delayed instants
     device = replace(device_of(twin, sample_rate_hz=rate_hz), sampling=Sampling())
     readings = restored_gyro(np.asarray(simulate_device(device, motion, rng=rng).record.gyro), twin.adc)
@@ -126,25 +124,25 @@ def _rates(
     return motion, (match.gyro - offset) @ model.matrix.T, (readings - model.offset) @ model.matrix.T
 
 
-def _windows(motion: Motion, real: FloatArray, simulated: FloatArray, rows: slice, length_s: float) -> FloatArray:
-    """Compare two rates (N, 3), rad/s, over every window of a stretch: pitch, end about x, y, z, (W, 4) rad."""
+def _windows(
+    motion: Motion, real: FloatArray, simulated: FloatArray, rows: slice, length_s: float
+) -> Iterator[FloatArray]:
+    """Compare two rates (N, 3), rad/s, over every window of a stretch: pitch, end about x, y, z, (4,) rad each."""
     time, q_nb, rate_hz = motion.time[rows], motion.q_nb[rows], motion.sample_rate_hz
     samples, stride = round(length_s * rate_hz), max(1, round(STRIDE_S * rate_hz))
     if len(time) <= samples:
-        return np.empty((0, 4))
+        return
     tracks = [integrate_strapdown(rate[rows], time, q_nb[0]) for rate in (real, simulated)]
     points: IntArray = np.arange(0, samples + 1, max(1, round(rate_hz / POINTS_PER_S)))
     points[-1] = samples
-    return np.array([_window(tracks, q_nb, first, points) for first in range(0, len(time) - samples, stride)])
-
-
-def _window(tracks: Sequence[FloatArray], q_nb: FloatArray, first: int, points: IntArray) -> FloatArray:
-    real, simulated = (
-        quaternion_product(quaternion_product(q_nb[first], quaternion_conjugate(q[first])), q[first + points])
-        for q in tracks
-    )
-    vertical = rotate(quaternion_conjugate(simulated), np.array([0.0, 0.0, 1.0]))
-    near_plane = np.hypot(vertical[:, 0], vertical[:, 2]) > IN_PLANE
-    pitch = np.abs(wrapped(sagittal_pitch(real) - sagittal_pitch(simulated)))[near_plane]
-    turn = rotation_vector(quaternion_product(quaternion_conjugate(simulated[-1]), real[-1]))
-    return np.concatenate(([np.nanmax(pitch) if np.isfinite(pitch).any() else np.nan], np.abs(turn)))
+    for first in range(0, len(time) - samples, stride):
+        real_q, simulated_q = (
+            quaternion_product(quaternion_product(q_nb[first], quaternion_conjugate(q[first])), q[first + points])
+            for q in tracks
+        )
+        vertical = rotate(quaternion_conjugate(simulated_q), np.array([0.0, 0.0, 1.0]))
+        near_plane = np.hypot(vertical[:, 0], vertical[:, 2]) > IN_PLANE
+        pitch = np.abs(wrapped(sagittal_pitch(real_q) - sagittal_pitch(simulated_q)))[near_plane]
+        largest = np.nanmax(pitch) if np.isfinite(pitch).any() else np.nan
+        turn = rotation_vector(quaternion_product(quaternion_conjugate(simulated_q[-1]), real_q[-1]))
+        yield np.array([largest, *np.abs(turn)])

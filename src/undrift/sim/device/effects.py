@@ -54,15 +54,16 @@ class Effect:
     """Base class of effects, which checks its parameters, makes arrays read-only and repeats scalars for the three channels."""
 
     def __post_init__(self) -> None:
-        for name, shape, _ in _marked(type(self)):
+        cls: Any = type(self)
+        for name, shape, _ in _marked(cls):
             if shape and np.ndim(getattr(self, name)) == 0:
                 object.__setattr__(self, name, np.full(3, getattr(self, name)))
         freeze(self)
-        check_choices(self, type(self).__name__)
-        for name, _, least in _marked(type(self)):
+        check_choices(self, cls.__name__)
+        for name, _, least in _marked(cls):
             if least and np.any((value := np.asarray(getattr(self, name), dtype=float)) < least.value):
                 raise InputError(
-                    f"{type(self).__name__}.{name}: must be {least.value:g} or more, got {np.min(value):g}. Correct the device."
+                    f"{cls.__name__}.{name}: must be {least.value:g} or more, got {np.min(value):g}. Correct the device."
                 )
 
     def apply(self, x: FloatArray, scene: "Scene", past: "Past") -> FloatArray:

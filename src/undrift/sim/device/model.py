@@ -16,33 +16,16 @@ from undrift.sim.device.effects import Effect, Sampling, SensorChain, Thermomete
 @codec.stored(kind="undrift.device", format=1, whole=True)
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DeviceModel(Effect):
-    """Three gyroscopes, three accelerometers, a thermometer and a clock.
+    """Three gyroscopes, three accelerometers, a thermometer and a clock."""
 
-    Parameters
-    ----------
-    serial : str
-        Serial number.
-    gyro, accel : SensorChain
-        The sensors.
-    thermometer : Thermometer
-        The board thermometer.
-    sampling : Sampling
-        The clock.
-    reference_temp_c : float
-        Temperature of the offsets, degC.
-    name : str
-        Kind of device.
-    source_tag : str
-        Reliability of its numbers: note, found, calc, known, known-low, assumed, or "drawn" or "fitted" for a unit.
-    """
-
-    serial: str
+    serial: str  # serial number
     gyro: SensorChain
     accel: SensorChain
     thermometer: Thermometer = field(default_factory=Thermometer)
     sampling: Sampling = field(default_factory=Sampling)
-    reference_temp_c: float = 25.0
-    name: str = ""
+    reference_temp_c: float = 25.0  # temperature of the offsets, degC
+    name: str = ""  # kind of device
+    # reliability of its numbers: note, found, calc, known, known-low, assumed, or "drawn" or "fitted" for a unit
     source_tag: str = "assumed"
 
     def without_noise(self) -> "DeviceModel":

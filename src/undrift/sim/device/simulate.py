@@ -75,25 +75,13 @@ class SimulatedTriad:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Simulated:
-    """A record and the truth about it, M samples.
+    """A record and the truth about it, M samples."""
 
-    Parameters
-    ----------
-    record : Record
-        Readings of the device, NaN if the motion is unknown.
-    gyro, accel : SimulatedTriad
-        Truth, contributions, saturation.
-    temp_c : array, shape (M,)
-        True temperature of the board, degC.
-    true_time : array, shape (M,)
-        True times of the samples on the clock of the motion, s.
-    """
-
-    record: Record
+    record: Record  # readings of the device, NaN if the motion is unknown
     gyro: SimulatedTriad
     accel: SimulatedTriad
-    temp_c: FloatArray
-    true_time: FloatArray
+    temp_c: FloatArray  # (M,), true temperature of the board, degC
+    true_time: FloatArray  # (M,), true times of the samples on the clock of the motion, s
 
 
 def simulate_device(
