@@ -51,7 +51,10 @@ class Least:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Effect:
-    """Base class of effects, which checks its parameters, makes arrays read-only and repeats scalars for the three channels."""
+    """Base class of effects, which checks its parameters, makes arrays read-only and repeats scalars for the three channels.
+
+    The ``apply`` of an effect returns the signal (N, 3) after it, in nominal input units.
+    """
 
     def __post_init__(self) -> None:
         cls: Any = type(self)
@@ -65,10 +68,6 @@ class Effect:
                 raise InputError(
                     f"{cls.__name__}.{name}: must be {least.value:g} or more, got {np.min(value):g}. Correct the device."
                 )
-
-    def apply(self, x: FloatArray, scene: "Scene", past: "Past") -> FloatArray:
-        """Return a signal (N, 3) after the effect, in nominal input units."""
-        raise NotImplementedError
 
 
 @cache

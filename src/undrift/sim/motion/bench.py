@@ -30,6 +30,9 @@ UPS: tuple[Face, ...] = ("+x", "+y", "+z")
 SIT_TO_STAND_RATES = tuple(rate * RADIAN_PER_DEGREE for rate in range(10, 91, 5))  # the note's list, one way round
 
 
+HAND_ANGLE = 2.0 * math.pi  # of a turn by hand, rad
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BenchSettings:
     """Settings of a session."""
@@ -45,7 +48,6 @@ class BenchSettings:
     turn_rates: tuple[float, ...] = SIT_TO_STAND_RATES
     ramp_s: float = 0.5  # run-up of each table rate, s
     dwell_s: float = 3.0  # steady part of each table rate, s
-    hand_angle: float = 2.0 * math.pi  # angle of a hand turn, rad
     lever_arm_b: tuple[float, float, float] = (0.0, 0.0, 0.0)  # position of the accelerometers from the turning axis, m
     latitude_deg: float | None = None  # latitude of the bench, for the Earth rate (None: no Earth rate)
 
@@ -69,20 +71,13 @@ def bench_motion(kind: BenchKind, *, rng: np.random.Generator, settings: BenchSe
 
 
 def script_motion(script: Script, settings: BenchSettings) -> Motion:
-    """Return the motion of a script on a bench."""
-    return script.motion(
-        settings.gravity_m_s2,
-        lever_arm_b=np.array(settings.lever_arm_b),
-        earth_rate_n=earth_rate(settings.latitude_deg),
-    )
-
-
-def earth_rate(latitude_deg: float | None) -> FloatArray:
-    """Return the rotation rate of the Earth in a level frame with y north and z up, (3,) rad/s."""
-    if latitude_deg is None:
-        return np.zeros(3)
-    latitude = latitude_deg * RADIAN_PER_DEGREE
-    return EARTH_RATE * np.array([0.0, math.cos(latitude), math.sin(latitude)])
+    """Return the motion of a script on a bench. In the level frame n, y points north."""
+    earth_rate_n = np.zeros(3)
+    if settings.latitude_deg is not None:
+        latitude = settings.latitude_deg * RADIAN_PER_DEGREE
+        earth_rate_n = EARTH_RATE * np.array([0.0, math.cos(latitude), math.sin(latitude)])
+    arm_b = np.array(settings.lever_arm_b)
+    return script.motion(settings.gravity_m_s2, lever_arm_b=arm_b, earth_rate_n=earth_rate_n)
 
 
 def rest_on_faces(
@@ -151,7 +146,7 @@ def _hand_turns(script: Script, settings: BenchSettings, streams: Streams) -> No
         unit = unit_vector(axis)
         script.lay(facing(script.q, unit), settings.move_s)
         script.still(settings.still_s)
-        script.hand_turn(axis, settings.hand_angle, 2.0 * settings.move_s, _off(unit, tilt))
+        script.hand_turn(axis, HAND_ANGLE, 2.0 * settings.move_s, _off(unit, tilt))
         script.still(settings.still_s)
 
 

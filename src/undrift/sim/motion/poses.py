@@ -21,13 +21,13 @@ References
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.errors import InputError
-from undrift.frames import quaternion_conjugate, quaternion_product, rotate, signed
+from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate, signed
 from undrift.record import Reference
 from undrift.sim.device.simulate import Streams, draw_streams
 from undrift.sim.motion.motion import Motion, mean_rate
@@ -64,24 +64,27 @@ def turning(spline: "BSpline", time: FloatArray) -> tuple[FloatArray, FloatArray
 FEWEST = 12  # smallest number of poses in a stretch, twice the minimum for a quintic
 
 
-def find_stretches(
-    time: FloatArray, visible: BoolArray, *, gap_s: float = 0.1, trim_s: float = 0.2, end_trim_s: float = 0.1
-) -> list[tuple[IntArray, float, float]]:
+GAP_S = 0.1  # longest gap that is bridged
+TRIM_S = 0.2  # left out at each end of a longer gap
+END_TRIM_S = 0.1  # left out at the ends of the recording
+
+
+def find_stretches(time: FloatArray, visible: BoolArray) -> list[tuple[IntArray, float, float]]:
     """Return the stretches between long gaps: rows (K,) that were seen, from where to where the motion is known, s."""
     rows = np.flatnonzero(visible)
-    breaks = np.flatnonzero(np.diff(time[rows]) > gap_s * (1.0 + 1e-9)) + 1
+    breaks = np.flatnonzero(np.diff(time[rows]) > GAP_S * (1.0 + 1e-9)) + 1
     spans = []
     for piece in np.split(rows, breaks):
         if len(piece) < FEWEST:
             continue
-        before = end_trim_s if piece[0] == 0 else trim_s
-        after = end_trim_s if piece[-1] == len(time) - 1 else trim_s
+        before = END_TRIM_S if piece[0] == 0 else TRIM_S
+        after = END_TRIM_S if piece[-1] == len(time) - 1 else TRIM_S
         start, stop = float(time[piece[0]]) + before, float(time[piece[-1]]) - after
         if stop > start:
             spans.append((piece, start, stop))
     if not spans:
         raise InputError(
-            f"poses: no stretch of at least {FEWEST} poses without a gap over {gap_s:g} s is longer than the trimmed part, "
+            f"poses: no stretch of at least {FEWEST} poses without a gap over {GAP_S:g} s is longer than the trimmed part, "
             f"got {len(rows)} valid poses of {len(time)}. Trim less, or record without gaps."
         )
     return spans
@@ -111,7 +114,7 @@ def zero_phase(x: FloatArray, cutoff_hz: float, *, sample_rate_hz: float, order:
 
 # ---- Poses to motion
 
-_EVEN = 0.02  # of a step: poses further off their even grid are drawn to it before filtering
+_EVEN = 0.02  # of a step: poses further off their even grid are interpolated before filtering
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,46 +125,46 @@ class PoseSettings:
     cutoff_hz: float | None = 20.0
     # cut-off of the position's low-pass, Hz, which is lower, as noise of the acceleration increases with frequency squared
     position_cutoff_hz: float | None = 10.0
-    order: int = (
-        ORDER  # order of the Butterworth low-pass in each direction (a higher order is sharper and rings longer)
-    )
-    gap_s: float = 0.1  # Longest gap that is bridged, s
-    trim_s: float = 0.2  # time trimmed at each end of a longer gap, s
-    end_trim_s: float = 0.1  # Trimmed at the ends of the recording, s
+    order: int = ORDER  # of the Butterworth low-pass in each direction (a higher order is sharper and rings longer)
 
 
-# a stretch: start and end of validity, s, splines of quaternion and of position, m, frame n
-PosePiece = tuple[float, float, "BSpline", "BSpline | None"]
+class PosePiece(NamedTuple):
+    """Splines through a stretch of poses between long gaps."""
+
+    start_s: float  # the motion is known from here
+    stop_s: float
+    quaternion: "BSpline"
+    position: "BSpline | None"  # m, frame n
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PoseSpline:
-    """A motion that can be asked at any instants: splines through the poses, one for each stretch between long gaps."""
+    """A motion that can be evaluated at any times."""
 
-    pieces: tuple[PosePiece, ...]  # In order of time
+    pieces: tuple[PosePiece, ...]  # in order of time
     moving_time: FloatArray  # (K,), times of the marks of motion, s
     moving: FloatArray  # (K,), 1 in motion (all 1 without marks)
 
     @property
     def span_s(self) -> tuple[float, float]:
-        """First and last instant that is known, s."""
-        return self.pieces[0][0], self.pieces[-1][1]
+        """First and last time with a known motion, s."""
+        return self.pieces[0].start_s, self.pieces[-1].stop_s
 
     def at(self, time: FloatArray, gravity_m_s2: float) -> Motion:
-        """Return the motion at given instants."""
-        n = len(time)
-        q, rate, swing, force = (np.full((n, width), np.nan) for width in (4, 3, 3, 3))
-        valid = np.zeros(n)
-        for start_s, stop_s, quaternion, position in self.pieces:
-            rows = np.flatnonzero((time >= start_s) & (time <= stop_s))
-            q[rows], rate[rows], swing[rows] = turning(quaternion, time[rows])
+        """Return the motion at given times."""
+        q, rate, swing, force = (np.full((len(time), width), np.nan) for width in (4, 3, 3, 3))
+        valid = np.zeros(len(time))
+        for piece in self.pieces:
+            rows = np.flatnonzero((time >= piece.start_s) & (time <= piece.stop_s))
+            q[rows], rate[rows], swing[rows] = turning(piece.quaternion, time[rows])
             valid[rows] = 1.0
-            if position is not None:
-                push = position(time[rows], nu=2) + np.array([0.0, 0.0, gravity_m_s2])
+            if piece.position is not None:
+                push = piece.position(time[rows], nu=2) + np.array([0.0, 0.0, gravity_m_s2])
                 force[rows] = rotate(quaternion_conjugate(q[rows]), push)
         mean = mean_rate(time, q, rate[0])
         first = np.flatnonzero((valid[1:] > 0.0) & (valid[:-1] == 0.0)) + 1  # no step leads to the first after a gap
         mean[first] = rate[first]
+        nearest = np.searchsorted(0.5 * (self.moving_time[1:] + self.moving_time[:-1]), time)
         return Motion(
             time=time,
             q_nb=q,
@@ -169,18 +172,18 @@ class PoseSpline:
             mean_rate_b=mean,
             force_b=force,
             gravity_m_s2=gravity_m_s2,
-            moving=self.moving[np.searchsorted(0.5 * (self.moving_time[1:] + self.moving_time[:-1]), time)] * valid,
+            moving=self.moving[nearest] * valid,
             angular_acceleration_b=swing,
             valid=valid,
         )
 
     def position(self, time: FloatArray) -> FloatArray:
-        """Return where the body's origin is."""
+        """Return the position of the body's origin, (N, 3) m."""
         out = np.full((len(time), 3), np.nan)
-        for start_s, stop_s, _, position in self.pieces:
-            if position is not None:
-                rows = np.flatnonzero((time >= start_s) & (time <= stop_s))
-                out[rows] = position(time[rows])
+        for piece in self.pieces:
+            if piece.position is not None:
+                rows = np.flatnonzero((time >= piece.start_s) & (time <= piece.stop_s))
+                out[rows] = piece.position(time[rows])
         return out
 
 
@@ -189,33 +192,26 @@ def fit_pose_spline(reference: Reference, settings: PoseSettings = PoseSettings(
     time, visible = reference.time, reference.valid
     if reference.position is not None:
         visible = visible & np.isfinite(reference.position).all(axis=1)
-    trims = {name: getattr(settings, name) for name in ("gap_s", "trim_s", "end_trim_s")}
     step, pieces = 1.0 / reference.sample_rate_hz, []
-    for rows, start, stop in find_stretches(time, visible, **trims):
+    for rows, start, stop in find_stretches(time, visible):
         t, position = time[rows], None
         if reference.position is not None:
             position = _smooth(t, reference.position[rows], step, settings.position_cutoff_hz, settings.order)
         quaternion = _smooth(t, signed(reference.q_nb[rows]), step, settings.cutoff_hz, settings.order)
-        pieces.append((start, stop, quaternion, position))
+        pieces.append(PosePiece(start, stop, quaternion, position))
     moving = np.ones(len(time)) if reference.moving is None else reference.moving
     return PoseSpline(pieces=tuple(pieces), moving_time=time, moving=moving)
 
 
-def evenly(time: FloatArray, values: FloatArray, step: float) -> tuple[FloatArray, FloatArray]:
-    """Return values on an even grid: as they are where they lie on one, else drawn to it by a cubic."""
-    count = round((time[-1] - time[0]) / step) + 1
-    even = np.linspace(time[0], time[-1], count)
-    if len(time) == count and np.abs(time - even).max() <= _EVEN * step:
-        return even, values
+def _smooth(time: FloatArray, values: FloatArray, step: float, cutoff_hz: float | None, order: int) -> "BSpline":
+    """Return the spline through values after a low-pass. Off an even grid, they are first interpolated with a cubic."""
     from scipy.interpolate import CubicSpline
 
-    return even, CubicSpline(time, values)(even)
-
-
-def _smooth(time: FloatArray, values: FloatArray, step: float, cutoff_hz: float | None, order: int) -> "BSpline":
     if cutoff_hz is None:
         return quintic(time, values)
-    even, values = evenly(time, values, step)
+    even = np.linspace(time[0], time[-1], round((time[-1] - time[0]) / step) + 1)
+    if len(time) != len(even) or np.abs(time - even).max() > _EVEN * step:
+        values = CubicSpline(time, values)(even)
     rate = float((len(even) - 1) / (even[-1] - even[0]))
     return quintic(even, zero_phase(values, cutoff_hz, sample_rate_hz=rate, order=order))
 
@@ -223,30 +219,31 @@ def _smooth(time: FloatArray, values: FloatArray, step: float, cutoff_hz: float 
 # ---- Simulated optics
 
 
+SLOW_S = 5.0  # time constant of the slow error, s
+HIDDEN_S = 0.2  # length of a gap, s
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OpticsSettings:
     """Errors of cameras."""
 
-    sample_rate_hz: float = 100.0  # Poses per second
-    delay_s: float = 0.0  # A pose stamped t was taken at t - delay_s
-    angle_sd: float = 3e-4  # Noise about each body axis, rad
-    position_sd: float = 2e-4  # Noise of each coordinate, m
-    gaps: int = 2  # Number of gaps while the device moves
-    gap_s: float = 0.2  # Length of each, s
-    mount_sd: float = 0.0  # Misalignment of the marker body against the case about each axis, rad
-    slow_sd: float = 0.0  # Error about each body axis that lasts, rad, and its time constant, s
-    slow_s: float = 5.0
+    sample_rate_hz: float = 100.0  # poses per second
+    delay_s: float = 0.0  # a pose stamped t was taken at t - delay_s
+    angle_sd: float = 3e-4  # noise about each body axis, rad
+    position_sd: float = 2e-4  # noise of each coordinate, m
+    gaps: int = 2  # number of gaps while the device moves
+    mount_sd: float = 0.0  # misalignment of the marker body against the case about each axis, rad
+    slow_sd: float = 0.0  # first-order Gauss-Markov error about each body axis, rad
 
 
 def see(task: Task, *, rng: np.random.Generator, settings: OpticsSettings | None = None) -> Reference:
     """Return camera poses of a task."""
-    chosen = settings or OpticsSettings()
-    streams = draw_streams(rng)
+    chosen, streams = settings or OpticsSettings(), draw_streams(rng)
     time = np.arange(round(task.duration_s * chosen.sample_rate_hz)) / chosen.sample_rate_hz
     motion = task.at(time - chosen.delay_s, 9.8)
     q, position = disturbed(motion.q_nb, task.position(time - chosen.delay_s), streams=streams, settings=chosen)
-    starts = streams.of("gap").uniform(task.moving_s[0], task.moving_s[1] - chosen.gap_s, chosen.gaps)
-    hidden = ((time >= starts[:, None]) & (time < starts[:, None] + chosen.gap_s)).any(axis=0)
+    starts = streams.of("gap").uniform(task.moving_s[0], task.moving_s[1] - HIDDEN_S, chosen.gaps)
+    hidden = ((time >= starts[:, None]) & (time < starts[:, None] + HIDDEN_S)).any(axis=0)
     q[hidden] = np.nan
     position[hidden] = np.nan
     return Reference(time=time, q_nb=q, position=position, moving=motion.moving, name=f"simulated optics, {task.name}")
@@ -256,25 +253,14 @@ def disturbed(
     q_nb: FloatArray, position: FloatArray, *, streams: Streams, settings: OpticsSettings
 ) -> tuple[FloatArray, FloatArray]:
     """Return poses with camera errors, q_nb (N, 4) and position (N, 3), m."""
-    mount = _small_turn(streams.of("mount").normal(0.0, settings.mount_sd, 3))
-    off = streams.of("angle").normal(0.0, settings.angle_sd, (len(q_nb), 3))
-    noise = _small_turn(off + _slow(streams.of("slow"), len(q_nb), settings) if settings.slow_sd else off)
-    shifted = position + streams.of("position").normal(0.0, settings.position_sd, position.shape)
-    return quaternion_product(quaternion_product(q_nb, mount), noise), shifted
-
-
-def _slow(draw: np.random.Generator, count: int, settings: OpticsSettings) -> FloatArray:
-    """Return a first-order Gauss-Markov error, (count, 3) rad."""
     from scipy.signal import lfilter
 
-    decay = np.exp(-1.0 / (settings.slow_s * settings.sample_rate_hz))
-    drawn = draw.normal(0.0, settings.slow_sd, (count, 3))
-    drawn[1:] *= np.sqrt(1.0 - decay**2)
-    return np.asarray(lfilter([1.0], [1.0, -decay], drawn, axis=0))
-
-
-def _small_turn(rotation_vector: np.ndarray) -> np.ndarray:
-    angle = np.linalg.norm(rotation_vector, axis=-1, keepdims=True)
-    half = 0.5 * angle
-    sinc = np.where(angle > 0.0, np.sin(half) / np.where(angle > 0.0, angle, 1.0), 0.5)
-    return np.concatenate((np.cos(half), sinc * rotation_vector), axis=-1)
+    mount = quaternion_of(streams.of("mount").normal(0.0, settings.mount_sd, 3))
+    error = streams.of("angle").normal(0.0, settings.angle_sd, (len(q_nb), 3))
+    if settings.slow_sd:
+        keep = np.exp(-1.0 / (SLOW_S * settings.sample_rate_hz))
+        draws = streams.of("slow").normal(0.0, settings.slow_sd, (len(q_nb), 3))
+        draws[1:] *= np.sqrt(1.0 - keep**2)
+        error = error + lfilter([1.0], [1.0, -keep], draws, axis=0)
+    shifted = position + streams.of("position").normal(0.0, settings.position_sd, position.shape)
+    return quaternion_product(quaternion_product(q_nb, mount), quaternion_of(error)), shifted

@@ -49,7 +49,6 @@ this is published (phases last as long at 25 to 36 as at 61 to 74 years). Otherw
 
 import math
 import tomllib
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias, cast, get_args
@@ -173,25 +172,13 @@ def sway_spectrum(balance: Balance, frequency_hz: FloatArray) -> FloatArray:
 
 
 def draw_sway(draw: np.random.Generator, balance: Balance, *, rms: float, span: tuple[float, float]) -> Sway:
-    """Draw a stretch of sway."""
-    return draw_lines(draw, lambda f: sway_spectrum(balance, f), band_hz=BAND_HZ, rms=rms, span=span)
-
-
-def draw_lines(
-    draw: np.random.Generator,
-    spectrum: Callable[[FloatArray], FloatArray],
-    *,
-    band_hz: tuple[float, float],
-    rms: float,
-    span: tuple[float, float],
-) -> Sway:
-    """Draw a stretch of Gaussian noise with a given spectrum, as sinusoids."""
-    edges = np.geomspace(*band_hz, LINES + 1)
+    """Draw a stretch of sway, rad, as sinusoids."""
+    edges = np.geomspace(*BAND_HZ, LINES + 1)
     frequencies = edges[:-1] + np.diff(edges) * draw.uniform(size=LINES)
-    amplitudes = np.sqrt(spectrum(frequencies) * np.diff(edges)) * draw.rayleigh(size=LINES)
+    amplitudes = np.sqrt(sway_spectrum(balance, frequencies) * np.diff(edges)) * draw.rayleigh(size=LINES)
     phases = draw.uniform(0.0, 2.0 * math.pi, LINES)
     plain = Sway(tuple(amplitudes.tolist()), tuple(frequencies.tolist()), tuple(phases.tolist()), *span, SWELL_S)
-    scale = rms / float(np.std(plain.at(np.arange(span[0], span[1], 0.1 / band_hz[1]))[0]))
+    scale = rms / float(np.std(plain.at(np.arange(span[0], span[1], 0.1 / BAND_HZ[1]))[0]))
     return replace(plain, amplitudes=tuple((scale * amplitudes).tolist()))
 
 
