@@ -242,7 +242,7 @@ def test_either_a_sample_rate_or_instants_are_wanted():
     poses = poses_of(tumble(5.0))
     with pytest.raises(InputError, match="either a sample rate or the instants, got neither"):
         motion_from_poses(poses, gravity_m_s2=G)
-    with pytest.raises(InputError, match="got both; give sample_rate_hz or time"):
+    with pytest.raises(InputError, match="got both"):
         motion_from_poses(poses, gravity_m_s2=G, sample_rate_hz=100.0, time=poses.time)
 
 
