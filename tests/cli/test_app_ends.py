@@ -93,7 +93,7 @@ def test_a_full_disk_names_the_file_and_the_bytes_missing(tmp_path, monkeypatch)
         write_whole(tmp_path / "c.json", bytes(340))
     assert str(caught.value) == (
         f"{tmp_path / 'c.json'}: expected free disk space for 340 bytes more, got 100: 240 are missing. Free disk "
-        f"space and run it again"
+        f"space and run it again."
     )
     assert caught.value.missing == 240
     assert list(tmp_path.iterdir()) == []
