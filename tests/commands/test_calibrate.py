@@ -165,6 +165,6 @@ def test_options_that_motion_alone_cannot_use_are_refused(undrift, tmp_path):
     assert "cannot be used with" in refused.err
     assert "--turn-deg" in refused.err
     assert not (tmp_path / "c.json").exists()
-    assert "no use for --mode" in undrift.refused(
+    assert "--mode cannot be used" in undrift.refused(
         "calibrate", tmp_path / "walk.csv", "--from", "motion", "--mode", "paper"
     )

@@ -79,7 +79,7 @@ def test_what_orient_refuses(undrift, bench, tmp_path):
         return line
 
     corrected = bench / "corrected.parquet"
-    assert "say --calibration calibration.json" in refused(bench / "trial.parquet", "-o", tmp_path / "o.csv")
+    assert "Add --calibration calibration.json" in refused(bench / "trial.parquet", "-o", tmp_path / "o.csv")
     assert "--output" in refused(corrected)
     assert "expected a name ending in .parquet, .csv, .csv.gz or .sto" in refused(corrected, "-o", tmp_path / "o.xls")
     assert "this file is also read" in refused(corrected, "-o", corrected)
