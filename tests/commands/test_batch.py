@@ -204,7 +204,7 @@ def test_what_a_folder_refuses(undrift, bench, folder, tmp_path):
         assert f"{more[1]}: expected a recording or a session, got the folder" in undrift.refused(
             more[0], folder, *more[1:]
         )
-    assert "leave --output out" in undrift.refused("info", folder / "walk.parquet", "-o", tmp_path / "out")
+    assert "Omit --output" in undrift.refused("info", folder / "walk.parquet", "-o", tmp_path / "out")
 
 
 def test_an_error_that_nobody_foresaw_is_a_row_too(undrift, folder, monkeypatch):
