@@ -22,6 +22,7 @@ WITHOUT_BLOCKS = {
     "live.md",
     "model.md",
     "nomenclature.md",
+    "study-answers.md",
     "study-bench.md",
     "worklist.md",
 }
