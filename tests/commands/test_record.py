@@ -146,7 +146,7 @@ with TalkingDevice(1000.0) as device:
             if text is None:  # it went another way round
                 assert left == [path], (n, left)
             else:
-                assert "make room" in text and chr(10) not in text, (n, text)
+                assert "Free disk space" in text and chr(10) not in text, (n, text)
                 assert not left or text.endswith(f"until then are in {left[0]})"), (n, left, text)
             if left:
                 np.testing.assert_allclose(np.diff(read_record(left[0]).time), 0.01, atol=1e-9)
