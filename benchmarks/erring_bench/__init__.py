@@ -19,6 +19,7 @@ NORMAL_95 = 1.959963984540054
 LOW, HIGH = 90.0, 98.0  # percent of intervals that may hold
 ACROSS = ~np.eye(3, dtype=bool)
 SCALE_PER_K = 2e-4  # standard deviation of the drawn slopes
+TRIPLED = "all sources, three times: "  # starts the name of a case with one source at three times its stated size
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,6 +49,16 @@ def chain_that_errs(
     adc = None if bits is None else Adc(bits=bits, reference=span * chain.gain, codes=False)
     instability = None if flicker is None else BiasInstability(instability=np.full(3, flicker))
     return replace(chain, adc=adc, instability=instability, **others)
+
+
+def tripled(case: Any, sources: Sequence[str]) -> dict[str, Any]:
+    """Return the case once for each source, with that source at three times its stated size."""
+    return {TRIPLED + source: replace(case, tripled=source) for source in sources}
+
+
+def times(case: Any, source: str) -> float:
+    """Return the size of a source of a case, in stated sizes."""
+    return 3.0 if case.tripled == source else 1.0
 
 
 def drawn_slope(rng: np.random.Generator) -> ThermalScale:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.erring_bench import Row, Tally, chain_that_errs, drawn_slope, even_rise
+from benchmarks.erring_bench import Row, Tally, chain_that_errs, drawn_slope, even_rise, times, tripled
 from undrift.calibration.known_rotation import calibrate_turns
 from undrift.calibration.session import observe
 from undrift.calibration.settings import CalibrateSettings
@@ -53,9 +53,13 @@ class Case:
     none_found: bool = False  # Nor does the search find one
     warm_up_dps: float = 0.0  # offset at the first sample, of either sign, with WARM_UP_S
     creep_s: float | None = None  # time constant of the rise, or None for a linear rise
+    tripled: str = ""  # source at three times its size: creep, codes, flicker, clock, angle, axis, level or walk
     sure: bool = False  # turned to 0.05 deg about axes true to 0.03 deg, with the uncertainties of turns by hand
 
 
+ALL_BUT_CODES = Case(
+    creep_c=1.0, cutoff_hz=4.0, flicker=True, jitter_s=2e-3, by_hand=True, level=0.2 * DEG, whole_walk=True
+)
 CASES = {
     "ideal": Case(),
     "creep 1 degC": Case(creep_c=1.0),
@@ -75,11 +79,10 @@ CASES = {
     "warm-up of 0.1 deg/s, 60 s, by hand": Case(warm_up_dps=0.1, by_hand=True),
     "creep 1 degC with 60 s, no thermometer": Case(creep_c=1.0, thermometer=False, creep_s=60.0),
     "creep 1 degC with 60 s": Case(creep_c=1.0, creep_s=60.0),
-    "all but 10 bit": Case(
-        creep_c=1.0, cutoff_hz=4.0, flicker=True, jitter_s=2e-3, by_hand=True, level=0.2 * DEG, whole_walk=True
-    ),
-    "all together": Case(
-        creep_c=1.0, cutoff_hz=4.0, flicker=True, jitter_s=2e-3, by_hand=True, level=0.2 * DEG, whole_walk=True, bits=10
+    "all but 10 bit": ALL_BUT_CODES,
+    "all together": replace(ALL_BUT_CODES, bits=10),
+    **tripled(
+        replace(ALL_BUT_CODES, bits=12), ("creep", "codes", "flicker", "clock", "angle", "axis", "level", "walk")
     ),
 }  # fmt: skip
 
@@ -118,25 +121,28 @@ def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
 def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, np.ndarray, np.ndarray]:
     """Return the session of a device, its matrix, and the mean of its offset from the first to the last of rests and turns."""
     device = random_device(rng)
-    slope, flicker = drawn_slope(rng), FLICKER if case.flicker else None
+    slope, flicker = drawn_slope(rng), FLICKER * times(case, "flicker") if case.flicker else None
     low_pass = None if case.cutoff_hz is None else LowPass(cutoff_hz=np.full(3, case.cutoff_hz))
     walk = device.gyro.random_walk if case.whole_walk else None
+    if walk is not None:
+        walk = replace(walk, bias_walk=walk.bias_walk * times(case, "walk"))
     warm_up = case.warm_up_dps * DEG * rng.choice((-1.0, 1.0), 3) if case.warm_up_dps else np.zeros(3)
     transient = PowerOnTransient(amplitude=warm_up, time_constant_s=WARM_UP_S) if warm_up.any() else None
     effects = {"random_walk": walk, "thermal_scale": slope, "low_pass": low_pass, "warm_up": transient}
-    gyro = chain_that_errs(device.gyro, bits=case.bits, span=RANGE, flicker=flicker, **effects)
+    gyro = chain_that_errs(device.gyro, bits=case.bits, span=RANGE * times(case, "codes"), flicker=flicker, **effects)
     accel = replace(device.accel, adc=None, random_walk=None, low_pass=low_pass)
     device = replace(device, gyro=gyro, accel=accel)
     angle_deg, axis_deg = (SURE_ANGLE_DEG, SURE_AXIS_DEG) if case.sure else (ANGLE_DEG, AXIS_DEG)
-    errors = BenchErrors(face_tilt=case.level, hand_axis=axis_deg * DEG * case.by_hand)
+    axis = axis_deg * DEG * case.by_hand * times(case, "axis")
+    errors = BenchErrors(face_tilt=case.level * times(case, "level"), hand_axis=axis)
     motion = bench_motion("ferraris", rng=rng, settings=BenchSettings(sample_rate_hz=50.0, errors=errors))
-    temp_c = even_rise(case.creep_c, len(motion))
+    temp_c = even_rise(case.creep_c * times(case, "creep"), len(motion))
     if case.creep_s is not None:
         temp_c = 25.0 + case.creep_c * (0.5 - np.exp(-motion.time / case.creep_s))
     simulated = simulate_device(device, motion, rng=rng, temp_c=temp_c)
     record = simulated.record if case.thermometer else replace(simulated.record, temp_c=None)
-    record = replace(record, time=record.time + case.jitter_s * rng.standard_normal(len(record)))
-    off = angle_deg * DEG * rng.standard_normal(len(motion.turns)) * case.by_hand
+    record = replace(record, time=record.time + case.jitter_s * times(case, "clock") * rng.standard_normal(len(record)))
+    off = angle_deg * DEG * rng.standard_normal(len(motion.turns)) * case.by_hand * times(case, "angle")
     session = Session(
         kind="calibration",
         serial=device.serial,

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.erring_bench import ACROSS, Row, Tally, chain_that_errs, drawn_slope, even_rise
+from benchmarks.erring_bench import ACROSS, Row, Tally, chain_that_errs, drawn_slope, even_rise, times, tripled
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.settings import CalibrateSettings
 from undrift.errors import NotObservable
@@ -44,8 +44,10 @@ class Case:
     quadratic: float = 0.0  # Standard deviation of the accelerometers' terms, per m/s2
     g_dps_per_g: float = 0.0  # each element of the gyroscopes' g-sensitivity
     poses: int = 18
+    tripled: str = ""  # Source at three times its size: creep, codes, flicker, quadratic or g-sensitivity
 
 
+STATED = Case(creep_c=1.0, bits=12, flicker=True, quadratic=1e-4, g_dps_per_g=0.1)
 CASES = {
     "ideal": Case(),
     "creep 1 degC": Case(creep_c=1.0),
@@ -65,6 +67,8 @@ CASES = {
     "12 poses, g-sensitivity 0.1 deg/s/g": Case(g_dps_per_g=0.1, poses=12),
     "g-sensitivity 0.1 deg/s/g": Case(g_dps_per_g=0.1),
     "g-sensitivity 0.1 deg/s/g, creep 1 degC, flicker": Case(g_dps_per_g=0.1, creep_c=1.0, flicker=True),
+    "all sources at their stated sizes": STATED,
+    **tripled(STATED, ("creep", "codes", "flicker", "quadratic", "g-sensitivity")),
 }
 
 
@@ -95,10 +99,12 @@ def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
 def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, list[tuple[np.ndarray, np.ndarray]]]:
     """Return the session of a device, and matrix and offset of accelerometers and gyroscopes at its mean temperature."""
     device = random_device(rng)
-    flicker = FLICKER if case.flicker else (None, None)
+    flicker = [size * times(case, "flicker") if case.flicker else None for size in FLICKER]
+    span = [size * times(case, "codes") for size in RANGE]
+    quadratic, g_dps_per_g = case.quadratic * times(case, "quadratic"), case.g_dps_per_g * times(case, "g-sensitivity")
     gyro, accel = (
         chain_that_errs(
-            chain, bits=case.bits, span=RANGE[k], flicker=flicker[k], random_walk=None, thermal_scale=drawn_slope(rng)
+            chain, bits=case.bits, span=span[k], flicker=flicker[k], random_walk=None, thermal_scale=drawn_slope(rng)
         )
         for k, chain in enumerate((device.gyro, device.accel))
     )
@@ -107,12 +113,12 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, list[tuple[np.
         assert accel.thermal_scale is not None
         steeper = replace(accel.offset, per_k=case.steep * accel.offset.per_k)
         accel = replace(accel, offset=steeper, thermal_scale=ThermalScale(per_k=case.steep * accel.thermal_scale.per_k))
-    bent = Nonlinearity(quadratic=rng.normal(0.0, case.quadratic, 3)) if case.quadratic else None
-    feels = GSensitivity(matrix=rng.normal(0.0, case.g_dps_per_g * DEG / G, (3, 3))) if case.g_dps_per_g else None
+    bent = Nonlinearity(quadratic=rng.normal(0.0, quadratic, 3)) if quadratic else None
+    feels = GSensitivity(matrix=rng.normal(0.0, g_dps_per_g * DEG / G, (3, 3))) if g_dps_per_g else None
     device = replace(device, gyro=replace(gyro, g_sensitivity=feels), accel=replace(accel, nonlinearity=bent))
     bench = BenchSettings(sample_rate_hz=50.0, poses=case.poses, still_s=4.0, first_still_s=10.0)
     motion = bench_motion("multi_position", rng=rng, settings=bench)
-    temp_c = even_rise(case.creep_c, len(motion))
+    temp_c = even_rise(case.creep_c * times(case, "creep"), len(motion))
     if case.warm_s is not None:
         temp_c = 25.0 - case.creep_c * np.exp(-motion.time / case.warm_s)
     if case.step_c is not None:

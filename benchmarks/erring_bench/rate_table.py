@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from benchmarks.erring_bench import Row, Tally, chain_that_errs
+from benchmarks.erring_bench import Row, Tally, chain_that_errs, times, tripled
 from undrift.arrays import FloatArray
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.settings import CalibrateSettings
@@ -46,11 +46,13 @@ class Case:
     walk_dps: float | None = None  # deg/s/sqrt(s), or None for a consumer device
     alone_deg: float | None = None  # mounting uncertainty without accelerometers, deg, or None for the default
     stated: RateTable = field(default_factory=RateTable)
+    tripled: str = ""  # Source at three times its size: a field of BenchErrors, codes, flicker or g-sensitivity
 
 
 SETTINGS = CalibrateSettings(identify_adc=False)
 EXACT = RateTable(table_level_deg=0.0, mount_tilt_deg=0.0, rate_uncertainty=0.0, wobble_deg=0.0)
 WORST = replace(USUAL, wobble=0.1 * DEG, ripple=3e-3, excess=3e-3)
+STATED = Case(USUAL, bits=12, flicker=True, g_sensitivity=True)
 CASES = {
     "ideal table, stated as such": Case(BenchErrors(), stated=EXACT),
     "mounted 0.1 deg off per axis": Case(USUAL),
@@ -69,6 +71,8 @@ CASES = {
     "walk of 5e-4 deg/s/sqrt(s)": Case(USUAL, walk_dps=5e-4),
     "warm-up of 0.1 deg/s, 60 s": Case(USUAL, warm_up_dps=0.1),
     "all together, 12 bit, g-sensitivity": Case(WORST, bits=12, flicker=True, g_sensitivity=True),
+    "all sources at their stated sizes": STATED,
+    **tripled(STATED, ("mount_tilt", "level", "table_rate", "wobble", "codes", "flicker", "g-sensitivity")),
 }
 
 
@@ -98,19 +102,25 @@ def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
 def drawn(case: Case, rng: np.random.Generator) -> tuple[DeviceModel, Session, FloatArray]:
     """Return a device, its session, and the mean raw offset of its gyroscopes over the session."""
     device = random_device(rng)
-    flicker = FLICKER if case.flicker else (None, None)
+    flicker = [size * times(case, "flicker") if case.flicker else None for size in FLICKER]
+    span = [size * times(case, "codes") for size in RANGE]
     gyro, accel = (
-        chain_that_errs(chain, bits=case.bits, span=RANGE[k], flicker=flicker[k])
+        chain_that_errs(chain, bits=case.bits, span=span[k], flicker=flicker[k])
         for k, chain in enumerate((device.gyro, device.accel))
     )
-    gyro = gyro if case.g_sensitivity else replace(gyro, g_sensitivity=None)
+    if gyro.g_sensitivity is not None:
+        feels = replace(gyro.g_sensitivity, matrix=gyro.g_sensitivity.matrix * times(case, "g-sensitivity"))
+        gyro = replace(gyro, g_sensitivity=feels if case.g_sensitivity else None)
+    table = case.table
+    if hasattr(table, case.tripled):
+        table = replace(table, **{case.tripled: 3.0 * getattr(table, case.tripled)})
     if case.walk_dps is not None:
         gyro = replace(gyro, random_walk=RandomWalk(bias_walk=np.full(3, case.walk_dps * DEG)))
     if case.warm_up_dps:
         amplitude = case.warm_up_dps * DEG * rng.choice((-1.0, 1.0), 3)
         gyro = replace(gyro, warm_up=PowerOnTransient(amplitude=amplitude, time_constant_s=60.0))
     device = replace(device, gyro=gyro, accel=accel)
-    bench = BenchSettings(sample_rate_hz=50.0, turn_rates=RATES, errors=case.table, lever_arm_b=ARM_M)
+    bench = BenchSettings(sample_rate_hz=50.0, turn_rates=RATES, errors=table, lever_arm_b=ARM_M)
     motion = bench_motion("bench", rng=rng, settings=bench)
     simulated = simulate_device(device, motion, rng=rng)
     session = Session(

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.erring_bench import Row, Tally, chain_that_errs, drawn_slope, even_rise
+from benchmarks.erring_bench import Row, Tally, chain_that_errs, drawn_slope, even_rise, times, tripled
 from undrift.arrays import FloatArray
 from undrift.calibration.reference import CODE_PRIOR, MOVING_PRIOR, fit_reference
 from undrift.calibration.reference_accel import fit_reference_accel
@@ -44,13 +44,16 @@ class Case:
 
     grade: GradeName
     optics: OpticsSettings
+    tripled: str = ""  # source at three times its size: creep, codes, flicker, clock, slow, level, noise or mounting
     errs: bool = False  # 12 bit, flicker, creep, time stamps that jitter, slow errors and a common tilt of the poses
 
 
+STATED = Case("consumer", OpticsSettings(angle_sd=1e-3, mount_sd=9e-3), errs=True)
 CASES = {
     "industrial part, cameras 0.02 deg": Case("industrial", OpticsSettings()),
     "consumer part, 0.06 deg, mounting 0.5 deg": Case("consumer", OpticsSettings(angle_sd=1e-3, mount_sd=9e-3)),
-    "the same with all errors": Case("consumer", OpticsSettings(angle_sd=1e-3, mount_sd=9e-3), errs=True),
+    "the same with all errors": STATED,
+    **tripled(STATED, ("creep", "codes", "flicker", "clock", "slow", "level", "noise", "mounting")),
 }
 
 
@@ -67,7 +70,7 @@ def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
     gyro, accel = (Tally(f"reference, {triad}", name) for triad in ("gyroscope", "accelerometer"))
     for _ in range(devices):
         device = random_device(rng, grade=case.grade)
-        device = _erring(device, rng) if case.errs else device
+        device = _erring(device, rng, case) if case.errs else device
         fits = _fits(device, rng, case)
         truth = true_calibration(device)
         groups = _groups(fits[0], truth.gyro, np.zeros(3))
@@ -114,9 +117,12 @@ def _moved(record: Record, true: TriadModel, change: FloatArray, code: tuple[flo
     return replace(record, gyro=codes * lsb - np.sign(codes) * (lost - 0.5 * lsb))
 
 
-def _erring(device: DeviceModel, rng: np.random.Generator) -> DeviceModel:
+def _erring(device: DeviceModel, rng: np.random.Generator, case: Case) -> DeviceModel:
+    codes, flicker = times(case, "codes"), times(case, "flicker")
     gyro, accel = (
-        chain_that_errs(chain, bits=12, span=RANGE[kind], flicker=FLICKER[kind], thermal_scale=drawn_slope(rng))
+        chain_that_errs(
+            chain, bits=12, span=codes * RANGE[kind], flicker=flicker * FLICKER[kind], thermal_scale=drawn_slope(rng)
+        )
         for kind, chain in (("gyro", device.gyro), ("accel", device.accel))
     )
     return replace(device, gyro=gyro, accel=accel)
@@ -131,18 +137,24 @@ def _seen(
     task = draw_task("free", rng=rng)
     task = with_six_rests(task) if six_rests else task
     motion = task.at(np.arange(round(task.duration_s * RATE_HZ)) / RATE_HZ, STANDARD_GRAVITY)
-    temp_c = even_rise(CREEP_C * case.errs, len(motion))
+    temp_c = even_rise(CREEP_C * case.errs * times(case, "creep"), len(motion))
     simulated = simulate_device(device, motion, rng=rng, temp_c=temp_c)
     record, flicker = simulated.record, device.accel.gain * simulated.accel.of("instability").mean(axis=0)
-    reference = see(task, rng=rng, settings=case.optics)
+    optics = replace(
+        case.optics,
+        angle_sd=case.optics.angle_sd * times(case, "noise"),
+        mount_sd=case.optics.mount_sd * times(case, "mounting"),
+    )
+    reference = see(task, rng=rng, settings=optics)
     if not case.errs:
         return record, reference, flicker
     correlation = np.exp(-1.0 / (SLOW_S * case.optics.sample_rate_hz))
-    slow_error = SLOW_SD * rng.standard_normal((len(reference), 3))
+    slow_error = SLOW_SD * times(case, "slow") * rng.standard_normal((len(reference), 3))
     slow_error[1:] *= np.sqrt(1.0 - correlation**2)
     off = lfilter([1.0], [1.0, -correlation], slow_error, axis=0)
-    record = replace(record, time=record.time + JITTER_S * rng.standard_normal(len(record)))
-    tilt = quaternion_of(np.append(REFERENCE_LEVEL * rng.standard_normal(2), 0.0))
+    record = replace(record, time=record.time + JITTER_S * times(case, "clock") * rng.standard_normal(len(record)))
+    level = REFERENCE_LEVEL * times(case, "level")
+    tilt = quaternion_of(np.append(level * rng.standard_normal(2), 0.0))
     q_nb = quaternion_product(tilt, quaternion_product(reference.q_nb, quaternion_of(off)))
     return record, replace(reference, q_nb=q_nb), flicker
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.erring_bench import Row, Tally, chain_that_errs, drawn_slope, even_rise
+from benchmarks.erring_bench import Row, Tally, chain_that_errs, drawn_slope, even_rise, times, tripled
 from undrift.calibration.session import observe
 from undrift.calibration.settings import CalibrateSettings
 from undrift.calibration.six_face import calibrate_faces
@@ -39,8 +39,10 @@ class Case:
     bits: int | None = None
     flicker: bool = False
     thermometer: bool = True
+    tripled: str = ""  # Source at three times its size: creep, level, codes or flicker
 
 
+TOGETHER = Case(creep_c=1.0, level=0.2 * DEG, bits=10, flicker=True)
 CASES = {
     "ideal": Case(),
     "creep 1 degC": Case(creep_c=1.0),
@@ -51,7 +53,8 @@ CASES = {
     "level 0.1 deg, creep 1 degC": Case(level=0.1 * DEG, creep_c=1.0),
     "10 bit": Case(bits=10),
     "flicker 0.05 mg": Case(flicker=True),
-    "all together": Case(creep_c=1.0, level=0.2 * DEG, bits=10, flicker=True),
+    "all together": TOGETHER,
+    **tripled(TOGETHER, ("creep", "level", "codes", "flicker")),
 }
 
 
@@ -77,15 +80,16 @@ def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
 def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, np.ndarray, np.ndarray]:
     """Return the session of a device, and its matrix and offset at the mean temperature of its faces."""
     device = random_device(rng)
-    flicker = FLICKER if case.flicker else None
+    flicker = FLICKER * times(case, "flicker") if case.flicker else None
+    span = RANGE * times(case, "codes")
     accel = chain_that_errs(
-        device.accel, bits=case.bits, span=RANGE, flicker=flicker, random_walk=None, thermal_scale=drawn_slope(rng)
+        device.accel, bits=case.bits, span=span, flicker=flicker, random_walk=None, thermal_scale=drawn_slope(rng)
     )
     device = replace(device, accel=accel)
     motion = bench_motion(
-        "six_face", rng=rng, settings=BenchSettings(sample_rate_hz=50.0, errors=BenchErrors(face_tilt=case.level))
+        "six_face", rng=rng, settings=BenchSettings(sample_rate_hz=50.0, errors=BenchErrors(face_tilt=case.level * times(case, "level")))
     )
-    temp_c = even_rise(case.creep_c, len(motion))
+    temp_c = even_rise(case.creep_c * times(case, "creep"), len(motion))
     simulated = simulate_device(device, motion, rng=rng, temp_c=temp_c)
     record = simulated.record if case.thermometer else replace(simulated.record, temp_c=None)
     assert record.gyro is not None
