@@ -13,6 +13,7 @@ import numpy as np
 
 from benchmarks.erring_bench import ACROSS, Row, Tally, chain_that_errs, drawn_slope, even_rise, times, tripled
 from undrift.calibration.calibrate import calibrate
+from undrift.calibration.norm import QUADRATIC_SD
 from undrift.calibration.settings import CalibrateSettings
 from undrift.errors import NotObservable
 from undrift.record import Session
@@ -47,7 +48,7 @@ class Case:
     tripled: str = ""  # Source at three times its size: creep, codes, flicker, quadratic or g-sensitivity
 
 
-STATED = Case(creep_c=1.0, bits=12, flicker=True, quadratic=1e-4, g_dps_per_g=0.1)
+STATED = Case(creep_c=1.0, bits=12, flicker=True, quadratic=QUADRATIC_SD, g_dps_per_g=0.1)
 CASES = {
     "ideal": Case(),
     "creep 1 degC": Case(creep_c=1.0),

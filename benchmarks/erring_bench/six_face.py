@@ -87,7 +87,9 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, np.ndarray, np
     )
     device = replace(device, accel=accel)
     motion = bench_motion(
-        "six_face", rng=rng, settings=BenchSettings(sample_rate_hz=50.0, errors=BenchErrors(face_tilt=case.level * times(case, "level")))
+        "six_face",
+        rng=rng,
+        settings=BenchSettings(sample_rate_hz=50.0, errors=BenchErrors(face_tilt=case.level * times(case, "level"))),
     )
     temp_c = even_rise(case.creep_c * times(case, "creep"), len(motion))
     simulated = simulate_device(device, motion, rng=rng, temp_c=temp_c)
