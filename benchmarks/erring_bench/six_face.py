@@ -86,11 +86,8 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[Session, np.ndarray, np
         device.accel, bits=case.bits, span=span, flicker=flicker, random_walk=None, thermal_scale=drawn_slope(rng)
     )
     device = replace(device, accel=accel)
-    motion = bench_motion(
-        "six_face",
-        rng=rng,
-        settings=BenchSettings(sample_rate_hz=50.0, errors=BenchErrors(face_tilt=case.level * times(case, "level"))),
-    )
+    errors = BenchErrors(face_tilt=case.level * times(case, "level"))
+    motion = bench_motion("six_face", rng=rng, settings=BenchSettings(sample_rate_hz=50.0, errors=errors))
     temp_c = even_rise(case.creep_c * times(case, "creep"), len(motion))
     simulated = simulate_device(device, motion, rng=rng, temp_c=temp_c)
     record = simulated.record if case.thermometer else replace(simulated.record, temp_c=None)
