@@ -90,8 +90,7 @@ def test_the_compensated_rate_error_is_near_that_of_the_true_tables(seed: int) -
     quiet = replace(device, gyro=replace(device.gyro, white_noise=None, instability=None, random_walk=None, adc=None))
     steps, rests = soaked(device, motion, SOAKS, rng)
     bench = BenchSettings(turn_rates=tuple(GRID[::4]), dwell_s=1.5)
-    warm = replace(device, gyro=replace(device.gyro, warm_up=None))  # a warm-up would be taken for g-sensitivity
-    constant = calibrate(simulate_session("bench", warm, rng=rng, settings=bench))
+    constant = calibrate(simulate_session("bench", device, rng=rng, settings=bench))
     static = static_of(rests)
     choice = choose_tables(steps, constant, static=static, temp_c=NODES, rests=rests)
     tables = DriftTables(static=static, scale=choice.scale_drift, dynamic=choice.dynamic_drift)

@@ -13,7 +13,7 @@ about an axis, that column of M keeps the nominal scale, as on a rate table. Sou
     angle          a / T along j          angle error of a turn, with M u' d / T for jitter d of the time stamps
     axis           (t / T) d_j across j   common tilt of the axis of all turns about j against the case
     temperature    warmth (alpha + beta w)   dependence of offset and scale on temperature
-    instability    flicker of known size, and a random walk of each sensor with an excess variance (fit/gls.py)
+    instability    flicker and a steady drift of known size, and a random walk of each sensor with an excess variance (fit/gls.py)
 
 Moves between the rests turn gravity, and determine the matrix as well (moves.py). Both estimates are combined. The turns give the
 parameters x with matrix x_M, the moves give the matrix m. With K = (cov(x, x_M) - cov(x, m)) cov(m - x_M)^-1, the estimate is
@@ -44,12 +44,12 @@ from undrift.calibration.plausibility import (
 )
 from undrift.calibration.rate_table import axes_missing, check_reads_positive, first_table_matrix, table_prior
 from undrift.calibration.session import Observed, Outcome, spans_of
-from undrift.calibration.sources import Creep, creep_of, flicker_about_mean, in_case, slip_covariance, walks_of
+from undrift.calibration.sources import Creep, creep_of, gyro_drift, in_case, slip_covariance, walks_of
 from undrift.calibration.triads import find_disagreement
 from undrift.errors import Implausible, InputError, NotObservable, PoorFit
 from undrift.findings import Finding, finding
 from undrift.fit.gls import block_size, carried, noise_of_means, solve_inverse
-from undrift.fit.priors import G_SENSITIVITY, GYRO_FLICKER
+from undrift.fit.priors import G_SENSITIVITY
 from undrift.fit.triad import TriadFit, TriadParameters, fit_of, inverse_jacobian, offset_of, parameters_of
 from undrift.model import AXES, TriadModel, Verdict
 from undrift.record import Axis, Face, Record, Still, Turn
@@ -194,7 +194,7 @@ def _sources(
         code_groups[:rests, :rests] = 1.0
         sources["adc"] = in_case(matrix, code_groups[:, :, None] * rows.rounding**2)
     if rows.span is not None:
-        sources["instability"] = GYRO_FLICKER**2 * np.kron(flicker_about_mean(rows.span), np.eye(3))
+        sources["instability"] = gyro_drift(rows.span)
     if rows.force is None:  # the g-sensitivity keeps its prior
         sources["prior"] = np.full(rows.reading.size, (G_SENSITIVITY * STANDARD_GRAVITY) ** 2)
     return sources

@@ -11,9 +11,9 @@ C_j turns the body frame at the end of still j into the frame at the start of st
 w = M (u - o - d_j - H f). n_j is the direction of gravity in still j, from the accelerometer. A move determines two angles. The
 angle about the vertical is not observable. Generalised least squares (fit/gls.py) fits M, o and H to rests and moves together.
 
-d is the offset relative to its mean over the rests, and a source of error that rests and moves share. It consists of flicker of
-known size, a change with temperature, and a random walk with an excess variance. The offset in a move is therefore close to the
-offset of the rests next to it. Other sources are noise, codes, jitter of the clock and the calibration of the accelerometer. The
+d is the offset relative to its mean over the rests, and a source of error that rests and moves share. It consists of
+flicker and a steady drift of known size, a change with temperature, and a random walk with an excess variance. The offset in a move
+is therefore close to the offset of the rests next to it. Other sources are noise, codes, jitter of the clock and the calibration of the accelerometer. The
 hand adds an excess variance in rests, and another in moves.
 """
 
@@ -28,11 +28,18 @@ from undrift.calibration.codes import code_steps, code_variance, limited_by_code
 from undrift.calibration.norm import NAMES, QUADRATIC_SD, TOLERANCE, check_count, fit_norm, judged
 from undrift.calibration.plausibility import check_axis_order, check_own_scale, check_range, stuck_windows
 from undrift.calibration.session import Observed, Outcome
-from undrift.calibration.sources import Creep, creep_of, flicker_of_means, slip_covariance, walk_about_mean
+from undrift.calibration.sources import (
+    Creep,
+    creep_of,
+    flicker_of_means,
+    slip_covariance,
+    steady_drift,
+    walk_about_mean,
+)
 from undrift.errors import InputError, NotObservable, PoorFit
 from undrift.findings import Finding, above, finding
 from undrift.fit.gls import GlsFit, Prior, carried, solve
-from undrift.fit.priors import G_SENSITIVITY, GYRO_FLICKER, UNCERTAIN_PERCENT
+from undrift.fit.priors import G_SENSITIVITY, GYRO_FLICKER, REST_DRIFT, UNCERTAIN_PERCENT
 from undrift.fit.triad import TriadFit, TriadParameters, parameter_names, scaled_condition, triad_fit
 from undrift.model import G_NAMES, MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict
 from undrift.record import Record, Still
@@ -396,7 +403,7 @@ def _build_problem(
         felt=still_moments(force, first, last)[0],
         slip=moves.slip,
         size=size,
-        flicker=GYRO_FLICKER**2 * carried(about_mean, flicker_of_means(span)),
+        flicker=carried(about_mean, GYRO_FLICKER**2 * flicker_of_means(span) + REST_DRIFT**2 * steady_drift(span)),
         walk=carried(about_mean, walk_about_mean(span.mean(axis=1))),
         warmth=np.append(warmth[rests], 0.5 * (warmth[moves.before] + warmth[moves.before + 1])),
         creep=creep,

@@ -15,7 +15,7 @@ Sources of error of dwell or rest i, in the frame of the case:
     ripple         w_i (p_m(psi_i) + u_i)      ripple of the rate with the azimuth psi of the table, if a dwell is shorter
                                                than a turn, and differences from dwell to dwell
     temperature    warmth_i (alpha + beta w_i) dependence of offset and scale on temperature
-    instability    flicker, and q_k B          offset, with the covariance B of a random walk about its mean over the session
+    instability    flicker, drift and q_k B    offset, with the covariance B of a random walk about its mean over the session
 
 The sizes of e, p, u and q_k of each sensor are excess variances of the residuals (fit/gls.py). The offset is the mean over the
 session. Parameters that the session does not determine keep their prior: G, and the columns of axes that the table did not turn.
@@ -31,7 +31,7 @@ from undrift.arrays import FloatArray
 from undrift.calibration.codes import limited_by_codes
 from undrift.calibration.plausibility import SCALE_TOLERANCE, axis_vectors, check_axis_order, check_own_scale
 from undrift.calibration.session import Observed, Outcome, spans_of, with_offset
-from undrift.calibration.sources import Creep, creep_of, flicker_about_mean, in_case, walks_of
+from undrift.calibration.sources import Creep, creep_of, gyro_drift, in_case, walks_of
 from undrift.calibration.table import DwellMeans, dwell_means, imposed_rates, mountings, table_axes, table_turns
 from undrift.errors import Implausible, NotObservable
 from undrift.findings import Finding, above, finding
@@ -39,7 +39,6 @@ from undrift.fit.gls import GlsFit, Prior, block_size, fit_huber, noise_of_means
 from undrift.fit.priors import (
     DRIFT_DPS,
     G_SENSITIVITY,
-    GYRO_FLICKER,
     SCALE_FACTOR,
     SCALE_FACTOR_IN_COUNTS,
     UNCERTAIN_PERCENT,
@@ -213,7 +212,7 @@ def _sources(rows: _TableRows, matrix: FloatArray, dwells: DwellMeans) -> dict[s
         "adc": in_case(matrix, rounding),
     }
     if rows.span is not None:
-        sources["instability"] = GYRO_FLICKER**2 * np.kron(flicker_about_mean(rows.span), np.eye(3))
+        sources["instability"] = gyro_drift(rows.span)
     if axes is not None:
         columns = np.zeros((count, 3, axes.columns.shape[2]))
         columns[:number] = axes.columns * dwells.turn_rate[:, None, None]

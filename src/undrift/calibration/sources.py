@@ -23,7 +23,7 @@ from undrift.arrays import FloatArray
 from undrift.calibration.quality import mean_reading, piece_temperatures
 from undrift.calibration.session import Observed, middles
 from undrift.findings import Finding, finding, told_apart
-from undrift.fit.priors import REST_DRIFT
+from undrift.fit.priors import GYRO_FLICKER, REST_DRIFT
 from undrift.model import AXES
 from undrift.record import Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -67,6 +67,20 @@ def walk_about_mean(time: FloatArray) -> FloatArray:
     length = float(since.max())
     mean = since - since**2 / (2.0 * length)
     return np.asarray(np.minimum.outer(since, since) - mean[:, None] - mean + length / 3.0)
+
+
+def steady_drift(span: FloatArray) -> FloatArray:
+    """Return the covariance (E, E) of a change at a constant rate, by 1 over all pieces (E, 2), about its mean."""
+    since = (span.mean(axis=1) - span.min()) / float(np.ptp(span)) - 0.5
+    return np.outer(since, since)
+
+
+def gyro_drift(span: FloatArray) -> FloatArray:
+    """Return the covariance (3 E, 3 E) of the offset of gyroscopes about its mean, (rad/s)^2, for pieces (E, 2), s.
+
+    The sources are flicker and a steady drift. The drift has the size above which it becomes a finding.
+    """
+    return np.kron(GYRO_FLICKER**2 * flicker_about_mean(span) + REST_DRIFT**2 * steady_drift(span), np.eye(3))
 
 
 def walks_of(span: FloatArray | None) -> dict[str, FloatArray]:
