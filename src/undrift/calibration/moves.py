@@ -11,10 +11,10 @@ C_j turns the body frame at the end of still j into the frame at the start of st
 w = M (u - o - d_j - H f). n_j is the direction of gravity in still j, from the accelerometer. A move determines two angles. The
 angle about the vertical is not observable. Generalised least squares (fit/gls.py) fits M, o and H to rests and moves together.
 
-d is the offset relative to its mean over the rests, and a source of error that rests and moves share. It consists of
-flicker and a steady drift of known size, a change with temperature, and a random walk with an excess variance. The offset in a move
-is therefore close to the offset of the rests next to it. Other sources are noise, codes, jitter of the clock and the calibration of the accelerometer. The
-hand adds an excess variance in rests, and another in moves.
+d is the offset relative to its mean over the rests, and a source of error that rests and moves share. It consists of flicker and a
+steady drift of known size, a change with temperature, and a random walk with an excess variance. The offset in a move is therefore
+close to the offset of the rests next to it. Other sources are noise, codes, jitter of the clock and the calibration of the
+accelerometer. The hand adds an excess variance in rests, and another in moves.
 """
 
 from collections.abc import Sequence
