@@ -20,7 +20,7 @@ from testkit.cramer_rao import (
 )
 from testkit.data import show
 from testkit.findings import codes, only
-from undrift.calibration import rate_table
+from undrift.calibration import sources
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.rate_table import RestMeans, fit_rate_table
 from undrift.calibration.session import spans_of
@@ -76,7 +76,7 @@ def plan() -> Plan:
 @pytest.fixture(autouse=True)
 def no_flicker(monkeypatch: pytest.MonkeyPatch) -> None:
     """State no flicker: the devices here have white noise and walks only."""
-    monkeypatch.setattr(rate_table, "GYRO_FLICKER", 0.0)
+    monkeypatch.setattr(sources, "GYRO_FLICKER", 0.0)
 
 
 def spans(p: Plan) -> Array:
@@ -231,7 +231,7 @@ def test_error_reaches_the_bound_whether_the_offset_drifts_or_not(
     walk: float, gravity: bool, devices: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if walk == CONSUMER_WALK:  # too small to show in many sessions: the flicker that the fit states covers it
-        monkeypatch.setattr(rate_table, "GYRO_FLICKER", GYRO_FLICKER)
+        monkeypatch.setattr(sources, "GYRO_FLICKER", GYRO_FLICKER)
     found = monte_carlo(walk, gravity, devices)
     # The bound knows q and has no prior for the g-sensitivity; the fit finds q.
     assert found.ratio() <= ratio_limit(found.by_bound.size)
