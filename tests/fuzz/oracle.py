@@ -17,6 +17,7 @@ import re
 import struct
 import tempfile
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -127,15 +128,14 @@ def how_read(content: bytes, name: str) -> ColumnMap:
                 held = describe(path, how)
             except UndriftError:
                 break
-            if held.example and "quaternion" in held.example[0]:  # a table of orientations
-                break
             if held.example:
                 lines = [
                     re.sub(r'(\w+) = "\?"', lambda m: f'{m[1]} = "{UNSTATED[m[1]]}"', line) for line in held.example
                 ]
                 lines = [line.replace("sample_rate_hz = ?", f"sample_rate_hz = {RATE_HZ}") for line in lines]
                 (Path(folder) / "map.toml").write_text("\n".join(lines))
-                how = read_map(Path(folder) / "map.toml", sensor=SENSOR.get(name))
+                with suppress(UndriftError):  # a table of orientations, or without readings
+                    how = read_map(Path(folder) / "map.toml", sensor=SENSOR.get(name))
             elif any(item.values.get("missing") == "sample_rate_hz" for item in held.findings):
                 how = ColumnMap(sensor=SENSOR.get(name), sample_rate_hz=RATE_HZ)
         return how

@@ -239,7 +239,7 @@ def _nilspod(path: Path, **_: Any) -> Parsed:
     content = read_bytes(path)
     wanted = content[0] + content[1] * struct.unpack_from("<I", content, 23)[0]
     if len(content) != wanted:
-        raise ValueError(f"its header states {wanted} bytes, it has {len(content)}")
+        raise ValueError(f"the header gives {wanted} bytes, but the file has {len(content)}")
     nilspodlib, version = library("nilspodlib"), ".".join(map(str, content[content[0] - 3 : content[0]]))
     legacy = "error" if version == "0.17.255" else "resolve"  # older files are converted up to this version
     with warnings.catch_warnings(record=True) as caught:
@@ -259,7 +259,7 @@ def _nilspod(path: Path, **_: Any) -> Parsed:
     start, end = struct.unpack_from("<II", content, 15)
     lasts_s, lost = (counter[-1] - counter[0]) / rate_hz, int(counter[-1] - counter[0]) + 1 - len(counter)
     if abs(end - start - lasts_s) > 2.0 + 0.05 * lasts_s:
-        raise ValueError(f"its header states {end - start} s, it has {lasts_s:.4g} s")
+        raise ValueError(f"the header gives {end - start} s, but the file has {lasts_s:.4g} s")
     found.notes = [
         f"firmware {data.info.version_firmware}, {rate_hz:g} Hz, factory scale applied, magnetometer left out (no unit)",
         *[f"{lost} of {len(counter) + lost} samples missing by the counter, seen as gaps in time"] * (lost > 0),
