@@ -256,10 +256,10 @@ def native_map(names: Names, how: ColumnMap = READ_SETTINGS, *, source: str = ""
         for channel, suffixes in NATIVE.items():
             columns[channel], units[channel] = _native_triple(names, channel, suffixes)
         if columns["gyro"] is None and columns["accel"] is None:
-            shown = ", ".join(repr(name) for name in names[:12]) or "no columns"
-            more = f", ... ({len(names)} columns)" if len(names) > 12 else ""
+            listing = ", ".join(repr(name) for name in names[:12]) or "no columns"
+            remainder = f", ... ({len(names)} columns)" if len(names) > 12 else ""
             raise InputError(
-                f"columns: expected names such as gyro_x_dps or accel_x_m_s2, got {shown}{more}. Run undrift info "
+                f"columns: expected names such as gyro_x_dps or accel_x_m_s2, got {listing}{remainder}. Run undrift info "
                 f"FILE "
                 "--write-map map.toml to propose a map, and name the map with `column_map`."
             )
@@ -270,7 +270,7 @@ def native_map(names: Names, how: ColumnMap = READ_SETTINGS, *, source: str = ""
 
 
 def _native_triple(names: Names, channel: str, suffixes: Mapping[str, str]) -> tuple[Columns | None, str]:
-    found: list[tuple[Columns, str]] = []
+    triples: list[tuple[Columns, str]] = []
     for unit, suffix in suffixes.items():
         triple = tuple(f"{channel}_{axis}_{suffix}" for axis in AXES)
         here = [name for name in triple if name in names]
@@ -278,12 +278,12 @@ def _native_triple(names: Names, channel: str, suffixes: Mapping[str, str]) -> t
             raise InputError(
                 f"columns: expected {', '.join(triple)}, got only {', '.join(here)}. Add the missing axes or map the columns."
             )
-        found += [(triple, unit)] if here else []
-    if len(found) > 1:
+        triples += [(triple, unit)] if here else []
+    if len(triples) > 1:
         raise InputError(
-            f"columns: expected {channel} in one unit, got {found[0][1]} and {found[1][1]}. Map the columns to use."
+            f"columns: expected {channel} in one unit, got {triples[0][1]} and {triples[1][1]}. Map the columns to use."
         )
-    return found[0] if found else (None, "")
+    return triples[0] if triples else (None, "")
 
 
 # ---- maps in files, in calls and in calibrations

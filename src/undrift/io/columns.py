@@ -164,12 +164,12 @@ def find_column(names: tuple[str, ...], column: Column, source: str) -> int:
     hits = hits or [i for i, name in enumerate(names) if name.strip() == column.strip()]
     if len(hits) == 1:
         return hits[0]
-    held = ", ".join(repr(name) for name in names[:16]) + (", ..." if len(names) > 16 else "")
+    listing = ", ".join(repr(name) for name in names[:16]) + (", ..." if len(names) > 16 else "")
     if hits:
         raise InputError(
             f"{source}: expected one column {column!r}, got {len(hits)}. Map the column by its position from 0."
         )
-    raise InputError(f"{source}: expected column {column!r}, got {held or 'no columns'}. Check the mapping.")
+    raise InputError(f"{source}: expected column {column!r}, got {listing or 'no columns'}. Check the mapping.")
 
 
 # ---- from a table and a map to a Record

@@ -35,8 +35,8 @@ def read_frame(
     device: str,
 ) -> Record:
     """Return the record in a frame, with every value checked as for a file."""
-    for what, given in (("columns", columns or {}), ("units", units)):
-        unknown = sorted(set(given) - set(CHANNELS))
+    for what, mapping in (("columns", columns or {}), ("units", units)):
+        unknown = sorted(set(mapping) - set(CHANNELS))
         if unknown:
             raise InputError(
                 f"from_frame: expected {what} of {', '.join(CHANNELS)}, got {', '.join(unknown)}. Use these names."

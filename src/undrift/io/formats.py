@@ -87,8 +87,8 @@ def _is_zip_with(*names: str) -> Callable[[Path, bytes], bool]:
     def recognised(path: Path, head: bytes) -> bool:
         if not head.startswith(b"PK\x03\x04"):
             return False
-        with sound(path, "zip"), zipfile.ZipFile(path) as held:
-            return not set(names).isdisjoint(held.namelist())
+        with sound(path, "zip"), zipfile.ZipFile(path) as archive:
+            return not set(names).isdisjoint(archive.namelist())
 
     return recognised
 
@@ -224,13 +224,13 @@ FORMATS: dict[str, Format] = {
 @cache
 def outside_formats() -> Mapping[str, Format]:
     """Return the formats that other packages add."""
-    found: dict[str, Format] = {}
+    formats: dict[str, Format] = {}
     for name in names_in({}, GROUP):
         try:
-            found[name] = load_named(name, {}, GROUP, Format)
+            formats[name] = load_named(name, {}, GROUP, Format)
         except Exception as error:  # noqa: BLE001 - another package may raise anything while it is imported
             warnings.warn(f"the format {name} of another package is not used: {error}", stacklevel=2)
-    return found
+    return formats
 
 
 def _in_turn() -> Iterator[tuple[str, Format]]:

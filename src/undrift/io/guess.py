@@ -87,15 +87,15 @@ def sniff(path: object) -> Text:
 def foreign_kind(text: Text) -> str | None:
     """Return the kind of a table that is not a recording of an inertial sensor."""
     names = [name for name in text.names if name.strip()]
-    shown = ", ".join(names[:4])
+    listing = ", ".join(names[:4])
     for pattern, what in ((_FORCE, "a force plate's table"), (_PLACE, "a table of positions")):
         if any(pattern.search(name) for name in names):
-            return f"{what} ({shown}, ...), not a recording of an inertial sensor"
+            return f"{what} ({listing}, ...), not a recording of an inertial sensor"
     lines = text.head.decode("utf-8", "replace").splitlines()
     first = lines[text.skip : text.skip + 2]  # one may be of units
     rows = [_cells(line, text.layout.delimiter, text.layout.decimal) for line in first]
     if rows and all(sum(is_number(cell, empty=True) for cell in row) < 0.5 * len(row) for row in rows):
-        return f"a table of text ({len(names)} columns: {shown}, ...), not a recording"
+        return f"a table of text ({len(names)} columns: {listing}, ...), not a recording"
     triples = triples_of(text.names)
     if text.layout.header and not triples:
         return (
@@ -104,7 +104,7 @@ def foreign_kind(text: Text) -> str | None:
             "positions."
         )
     if triples and all(_is_magnetic(name) for triple in triples for name in triple):
-        return f"a magnetometer's table ({shown}), without gyroscope or accelerometer"
+        return f"a magnetometer's table ({listing}), without gyroscope or accelerometer"
     return None
 
 
@@ -114,14 +114,14 @@ def quaternion_of_names(names: tuple[str, ...]) -> tuple[str, ...] | None:
     """
     parts: dict[str, dict[str, str]] = {}
     for name in names:
-        found = None if name.strip().isdecimal() else _QUATERNION.match(name.strip())  # positions are no names
-        if found and _TURNS.search(found["stem"]):
-            parts.setdefault(found["stem"], {})[found["part"].lower()] = name
+        match = None if name.strip().isdecimal() else _QUATERNION.match(name.strip())  # positions are no names
+        if match and _TURNS.search(match["stem"]):
+            parts.setdefault(match["stem"], {})[match["part"].lower()] = name
     fours = (
-        tuple(held[part] for part in order)
-        for held in parts.values()
+        tuple(columns[axis] for axis in order)
+        for columns in parts.values()
         for order in ("wxyz", "0123")
-        if {*order} <= held.keys()
+        if {*order} <= columns.keys()
     )
     return next(fours, None)
 
@@ -195,7 +195,7 @@ def triples_of(names: tuple[str, ...]) -> tuple[tuple[str, str, str], ...]:
     """Return names that differ only in an x, y, z, or in a number 0, 1, 2 or 1, 2, 3 at their end. They are three axes
     of a quantity.
     """
-    known, found = set(names), []
+    name_set, triples = set(names), []
     for name in names:
         axes = [(match.start(), "xyz" if match.group() == "x" else "XYZ") for match in re.finditer("[xX]", name)]
         if (number := re.search(r"[A-Za-z].*[_ \[](?=[01]\]?$)", name)) is not None:
@@ -204,10 +204,10 @@ def triples_of(names: tuple[str, ...]) -> tuple[tuple[str, str, str], ...]:
         for at, marks in axes:
             triple = tuple(f"{name[:at]}{mark}{name[at + 1 :]}" for mark in marks)
             numbers = (int(marks[0]) - 1, int(marks[0]) + 3) if marks[0].isdigit() else ()
-            others = {f"{name[:at]}{number}{name[at + 1 :]}" for number in numbers}  # a fourth one: no three axes
-            if known.issuperset(triple) and known.isdisjoint(others):
-                found.append((triple[0], triple[1], triple[2]))
-    return tuple(found)
+            numbered = {f"{name[:at]}{number}{name[at + 1 :]}" for number in numbers}  # a fourth one: no three axes
+            if name_set.issuperset(triple) and name_set.isdisjoint(numbered):
+                triples.append((triple[0], triple[1], triple[2]))
+    return tuple(triples)
 
 
 def propose(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> MapProposal:
@@ -247,12 +247,12 @@ def _by_name(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> tuple
     choices = threes or {triple[0]: list(triple) for triple in triples_of(names)}
     labels = {name: label_of(name) or label_of(re.sub(r"\d+$", "", name)) for name in choices}  # ax1 is ax of a sensor
     bare = [name for name, label in labels.items() if label is None and not _NO_SENSOR.search(name) and not threes]
-    of_gyro = text is not None and _OF_GYRO.search(text.path.name) is not None
-    for channel, others in (("gyro", bare if of_gyro else []), ("accel", [] if of_gyro else bare)):
-        named = [name for name, label in labels.items() if label is not None and label.channel == channel]
+    is_gyro_file = text is not None and _OF_GYRO.search(text.path.name) is not None
+    for channel, unlabelled in (("gyro", bare if is_gyro_file else []), ("accel", [] if is_gyro_file else bare)):
+        labelled = [name for name, label in labels.items() if label is not None and label.channel == channel]
         numbered = [name for name, label in labels.items() if label is None and not name[-1].isalpha()]
-        first = _likely(channel, tuple(choices) if threes else (*named, *numbered)) or next(
-            iter([*named, *others]), None
+        first = _likely(channel, tuple(choices) if threes else (*labelled, *numbered)) or next(
+            iter([*labelled, *unlabelled]), None
         )
         if first is not None:
             keys[channel] = choices[first]
@@ -261,8 +261,8 @@ def _by_name(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> tuple
         if name is not None:
             keys = {channel: name, **keys} if channel == "time" else {**keys, channel: name}
     taken = [value[0] for value in keys.values() if isinstance(value, list)]
-    others = [n for n, x in labels.items() if x is not None and x.channel in ("gyro", "accel") and n not in taken]
-    return keys or {"gyro": ["gx", "gy", "gz"], "accel": ["ax", "ay", "az"]}, ", ".join(others)
+    unlabelled = [n for n, x in labels.items() if x is not None and x.channel in ("gyro", "accel") and n not in taken]
+    return keys or {"gyro": ["gx", "gy", "gz"], "accel": ["ax", "ay", "az"]}, ", ".join(unlabelled)
 
 
 def _units_by_size(
@@ -307,8 +307,8 @@ def _stated_rate(text: Text | None, arrays: Arrays) -> str:
         if array.size == 1 and _STATED_NAME.search(name) and np.ravel(array)[0] > 0:
             return f"{float(np.ravel(array)[0]):g}  # by {name}"
     for line in [] if text is None else text.head.decode("utf-8", "replace").splitlines()[: text.layout.skip_rows]:
-        if found := _STATED_RATE.search(line):
-            return f"{float(found.group(1)):g}  # by the line {json.dumps(line.strip()[:40])}"
+        if match := _STATED_RATE.search(line):
+            return f"{float(match.group(1)):g}  # by the line {json.dumps(line.strip()[:40])}"
     return "?"
 
 
@@ -316,8 +316,8 @@ def _readings(text: Text | None, arrays: Mapping[str, Any], columns: list[Column
     """Return columns of the first MiB of text, or of arrays, (N, K), rows with gaps left out; none where there are none."""
     parts: list[Any] = []
     if text is not None:
-        whole = text.content is None and len(text.head) < 1 << 20
-        head = text.head if whole else text.head[: text.head.rfind(b"\n") + 1]
+        is_complete = text.content is None and len(text.head) < 1 << 20
+        head = text.head if is_complete else text.head[: text.head.rfind(b"\n") + 1]
         with suppress(InputError):
             table = parse_text(replace(text, content=head, layout=text.layout.but(drop_bad_rows=True)), tuple(columns))
             parts = [table.numbers(column) for column in columns]
@@ -375,10 +375,10 @@ def _by_position(text: Text) -> dict[str, Any]:
     if _OF_GYRO.search(text.path.name):
         return keys | {"gyro": threes[0]}
     lengths = [_median_length(_readings(text, {}, [*axes])) for axes in threes]
-    at_rest = [
+    gravity_like = [
         k for k, (length, _) in enumerate(lengths) if any(low <= length < high for low, high in _AT_REST.values())
     ]
-    accel = min(at_rest, key=lambda k: lengths[k][1], default=0)
+    accel = min(gravity_like, key=lambda k: lengths[k][1], default=0)
     keys["accel"] = threes[accel]
     return keys | ({"gyro": threes[1 - accel]} if len(threes) > 1 else {})
 

@@ -91,14 +91,14 @@ def _model(matrix: FloatArray, offset: FloatArray, unit: str, out: str, g: Float
 
 def _unit(content: dict[str, Any], key: str, quantity: Any) -> str:
     unit = content.get(key)
-    known = "count" if unit == "a.u." else unit
+    spelling = "count" if unit == "a.u." else unit
     try:
-        found = canonical_unit(known, quantity) if isinstance(known, str) else ""
+        canonical = canonical_unit(spelling, quantity) if isinstance(spelling, str) else ""
     except InputError:
-        found = ""
-    if not found or (not key.startswith("from") and not is_physical(found)):
+        canonical = ""
+    if not canonical or (not key.startswith("from") and not is_physical(canonical)):
         raise FileFormatError(f"{WHAT}: expected a unit for {key}, got {unit!r}. Write it into the file.")
-    return found
+    return canonical
 
 
 def _array(content: dict[str, Any], key: str, shape: tuple[int, ...]) -> FloatArray:

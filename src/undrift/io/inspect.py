@@ -48,11 +48,11 @@ STUCK = 8  # samples in a row at the largest reading
 
 def find_symptoms(record: Record) -> tuple[Finding, ...]:
     """Return what looks wrong with a recording."""
-    found = [*check_gravity(record), *_rest(record), *_temperature(record), *_sampling(record.time)]
+    symptoms = [*check_gravity(record), *_rest(record), *_temperature(record), *_sampling(record.time)]
     for name in ("gyro", "accel"):
         if getattr(record, name) is not None:
-            found += _axes(name, getattr(record, name))
-    return (*found, *find_saturated(record))
+            symptoms += _axes(name, getattr(record, name))
+    return (*symptoms, *find_saturated(record))
 
 
 def gaps_of(record: Record) -> int:
@@ -89,8 +89,8 @@ def _rest(record: Record) -> Iterator[Finding]:
         best = int(np.nanargmin(spread))
         mean = float(np.linalg.norm(blocks[best].mean(axis=0)))
         if mean >= REST_TURN_RATE and spread[best] <= 0.1 * mean:
-            at_s = record.time[best * size]
-            yield finding("recording.rest_rate", "warn", turn_rate_dps=mean / RADIAN_PER_DEGREE, at_s=at_s)
+            quiet_s = record.time[best * size]
+            yield finding("recording.rest_rate", "warn", turn_rate_dps=mean / RADIAN_PER_DEGREE, at_s=quiet_s)
 
 
 def _temperature(record: Record) -> Iterator[Finding]:
@@ -125,8 +125,8 @@ def _sampling(time: FloatArray) -> Iterator[Finding]:
         yield finding("recording.uneven_sampling", "warn", what="Uneven sampling", numbers=numbers)
     lost = steps > 1.5 * middle
     if lost.any():
-        count, longest_s, at_s = int(lost.sum()), steps.max(), time[int(steps.argmax())]
-        numbers = f"{count}, the longest {longest_s:.4g} s at {at_s:.6g} s"
+        count, longest_s, longest_start_s = int(lost.sum()), steps.max(), time[int(steps.argmax())]
+        numbers = f"{count}, the longest {longest_s:.4g} s at {longest_start_s:.6g} s"
         numbers += f" (median step {1e3 * middle:.4g} ms, mean rate {(len(time) - 1) / (time[-1] - time[0]):.4g} Hz)"
         yield finding(
             "recording.uneven_sampling", "warn", what="Drop-outs", numbers=numbers, count=count, longest_s=longest_s
@@ -145,14 +145,14 @@ def _axes(channel: str, values: FloatArray) -> Iterator[Finding]:
 
 def find_saturated(record: Record) -> tuple[Finding, ...]:
     """Return a finding for each end of the range at which an axis of a record sticks."""
-    found = []
+    symptoms = []
     for channel, values in (("gyro", record.gyro), ("accel", record.accel)):
         for axis, column in () if values is None else zip(AXES, values.T, strict=True):
             for limit, stuck in saturated_runs(column):
                 longest = (stuck[:, 1] - stuck[:, 0]).max()
                 item = {"channel": channel, "axis": axis, "reading": limit, "count": longest}
-                found.append(finding("recording.saturated", "warn", **item))
-    return tuple(found)
+                symptoms.append(finding("recording.saturated", "warn", **item))
+    return tuple(symptoms)
 
 
 def saturated_runs(column: FloatArray) -> Iterator[tuple[float, IntArray]]:
@@ -270,18 +270,18 @@ def describe(path: str | Path, column_map: ColumnMap | None = None, *, up: Up | 
         if missing == "readings" and may_hold_poses(name):
             return _reference(path, name)
         columns, proposal = error.numbers.get("names", ()), error.numbers.get("proposal")
-        shown = tuple(map(str, columns)) if isinstance(columns, tuple) else ()
-        found = _not_read(path, name, shown, str(error).removeprefix(f"{path}: "), missing=str(missing))
-        return replace(found, proposal=MapProposal(**proposal)) if isinstance(proposal, dict) else found
-    found = describe_record(read, path=str(path), format_name=name)
+        column_names = tuple(map(str, columns)) if isinstance(columns, tuple) else ()
+        description = _not_read(path, name, column_names, str(error).removeprefix(f"{path}: "), missing=str(missing))
+        return replace(description, proposal=MapProposal(**proposal)) if isinstance(proposal, dict) else description
+    description = describe_record(read, path=str(path), format_name=name)
     if not how.columns and name in ("csv", "parquet"):
         names = sniff(path).names if name == "csv" else parquet_names(path)
-        unread = tuple(other for other in names if other not in found.columns)
+        unread = tuple(other for other in names if other not in description.columns)
         if unread:
             what = f"Columns not read, as they are not undrift's own names: {', '.join(unread[:12])}. Read them with a column map."
-            left = finding("recording.how_read", "info", what=what)
-            found = replace(found, findings=(*found.findings, left))
-    return found
+            unread_finding = finding("recording.how_read", "info", what=what)
+            description = replace(description, findings=(*description.findings, unread_finding))
+    return description
 
 
 def describe_record(read: ReadResult, *, path: str = "", format_name: str = "csv") -> Description:
@@ -318,8 +318,8 @@ def _of_records(*records: Record) -> dict[str, Any]:
     first = records[0]
     channels = {"time": ("s", first.time), "gyro": (first.gyro_unit, first.gyro)}
     channels |= {"accel": (first.accel_unit, first.accel), "temp": ("degC", first.temp_c), "mag": ("uT", first.mag_ut)}
-    seen = [t[np.isfinite(t)] for t in (record.temp_c for record in records) if t is not None]
-    temp_c = np.concatenate(seen) if seen else np.empty(0)
+    temperatures = [t[np.isfinite(t)] for t in (record.temp_c for record in records) if t is not None]
+    temp_c = np.concatenate(temperatures) if temperatures else np.empty(0)
     return {
         "rows": sum(len(record) for record in records),
         "sample_rate_hz": mean_rate_hz(*records),
@@ -372,9 +372,9 @@ def _needs(path: Path, name: str) -> Description | None:
     what = f"{len(names)} arrays or columns"
     if text is not None:
         what = f"a table of {len(names)} columns" + " without names" * names[-1].isdecimal()
-    shown = tuple(f"{key} {array.shape}" for key, array in arrays) or names
+    columns = tuple(f"{key} {array.shape}" for key, array in arrays) or names
     needed = f"{what}; needs a map with the true units, for example {', '.join(proposal.lines())}"
-    return replace(_not_read(path, name, shown, needed), proposal=proposal)
+    return replace(_not_read(path, name, columns, needed), proposal=proposal)
 
 
 def _no_recording(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> str | None:
@@ -406,24 +406,24 @@ def _reference(path: Path, name: str, columns: ReferenceMap | None = None) -> De
     try:
         reference = read_reference(path, columns)
     except InputError as error:
-        held = error.numbers.get("names")
+        body_names = error.numbers.get("names")
         if error.numbers.get("missing") == "sample_rate_hz":
             return _not_read(path, name, (), str(error).removeprefix(f"{path}: "), missing="sample_rate_hz")
-        if not isinstance(held, tuple):
+        if not isinstance(body_names, tuple):
             raise
-        names = tuple(map(str, held))
+        names = tuple(map(str, body_names))
         reference = read_reference(path, labels=names[:1])
-    seen = int(reference.valid.sum())
-    more = f" of each of {len(names)} bodies (choose one of {', '.join(names)})" if names else ""
-    of_reading = columns is not None or may_hold_poses(name)
-    more += f", {reference.name.removeprefix(path.name).strip()}" if of_reading else ""
+    valid_count = int(reference.valid.sum())
+    remark = f" of each of {len(names)} bodies (choose one of {', '.join(names)})" if names else ""
+    has_reading = columns is not None or may_hold_poses(name)
+    remark += f", {reference.name.removeprefix(path.name).strip()}" if has_reading else ""
     return Description(
         path=str(path),
         kind="reference",
         format=name,
-        summary=f"{len(reference)} poses at {reference.sample_rate_hz:.6g} Hz, {seen} seen{more.rstrip(', ')}",
+        summary=f"{len(reference)} poses at {reference.sample_rate_hz:.6g} Hz, {valid_count} seen{remark.rstrip(', ')}",
         columns=names,
-        gaps=len(reference) - seen,
+        gaps=len(reference) - valid_count,
         findings=tuple(_sampling(reference.time)),
         **_of_clock(reference),
     )
@@ -443,12 +443,12 @@ def _markers(path: Path, name: str, up: Up | None) -> Description:
     if markers.short_rows:
         why = "they end before the last marker, which is read as lost"
         findings.append(finding("recording.rows_left_out", "warn", count=markers.short_rows, why=why))
-    of_them = f" ({', '.join(never)} never seen)" if never else ""
+    remark = f" ({', '.join(never)} never seen)" if never else ""
     return Description(
         path=str(path),
         kind="markers",
         format=name,
-        summary=f"{len(markers.labels)} markers{of_them}, {len(markers)} frames at {markers.sample_rate_hz:.6g} Hz",
+        summary=f"{len(markers.labels)} markers{remark}, {len(markers)} frames at {markers.sample_rate_hz:.6g} Hz",
         columns=markers.labels,
         units=(("position", SI_UNIT["length"]),),
         gaps=int(gap.any(axis=1).sum()),
@@ -457,20 +457,20 @@ def _markers(path: Path, name: str, up: Up | None) -> Description:
     )
 
 
-def _of_clock(held: Reference | Markers) -> dict[str, Any]:
-    duration_s = float(held.time[-1] - held.time[0])
-    return {"rows": len(held), "sample_rate_hz": held.sample_rate_hz, "duration_s": duration_s}
+def _of_clock(poses: Reference | Markers) -> dict[str, Any]:
+    duration_s = float(poses.time[-1] - poses.time[0])
+    return {"rows": len(poses), "sample_rate_hz": poses.sample_rate_hz, "duration_s": duration_s}
 
 
 def _session(path: Path, how: ColumnMap) -> Description:
     session = read_session(path, clock=how.clock if how.clock == "regular" else None)
     counts = ((session.records, "recording"), (session.stills, "still"), (session.turns, "turn"))
-    held = ", ".join(f"{len(items)} {what}{'s' * (len(items) != 1)}" for items, what in counts)
+    listing = ", ".join(f"{len(items)} {what}{'s' * (len(items) != 1)}" for items, what in counts)
     return Description(
         path=str(path),
         kind="session",
         format="session",
-        summary=f"{session.kind} of {session.serial}: {held}",
+        summary=f"{session.kind} of {session.serial}: {listing}",
         session=session,
         findings=tuple(
             replace(item, values={**item.values, "recording": number})

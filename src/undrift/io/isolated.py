@@ -37,10 +37,10 @@ def read_isolated(path: Path, kind: str, how: ColumnMap = READ_SETTINGS) -> Pars
     path = path if path.is_dir() else checked_file(path)
     limit_s = TIMEOUT_S + SECOND_PER_MEGABYTE * path.stat().st_size / 1e6
     options = json.dumps({"sensor": how.sensor, "drop": how.drop_bad_rows, "mapped": how.columns is not None})
-    words = [sys.executable, "-c", "from undrift.io.isolated import answer; answer()", kind, str(path), options]
+    argv = [sys.executable, "-c", "from undrift.io.isolated import answer; answer()", kind, str(path), options]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     try:
-        done = subprocess.run(words, env=environment, capture_output=True, timeout=limit_s, check=False)
+        done = subprocess.run(argv, env=environment, capture_output=True, timeout=limit_s, check=False)
     except subprocess.TimeoutExpired as error:
         raise FileFormatError(
             f"{path}: the parser did not finish within {limit_s:.0f} s. Copy the file again."

@@ -68,8 +68,8 @@ class Sheet:
 
     def stated(self, pattern: str) -> str | None:
         """Return the first group of a pattern in the preamble."""
-        found = re.search(pattern, "\n".join(self.preamble), re.IGNORECASE | re.MULTILINE)
-        return found.group(1).strip() if found else None
+        match = re.search(pattern, "\n".join(self.preamble), re.IGNORECASE | re.MULTILINE)
+        return match.group(1).strip() if match else None
 
     def columns(self, *positions: int, drop_bad_rows: bool = False) -> RawTable:
         """Parse the rows. The columns with a label contain numbers."""
@@ -81,11 +81,11 @@ class Sheet:
     def counted(self, table: RawTable) -> tuple[FloatArray, tuple[str, ...]]:
         """Return the time from the counters of a parsed table, s, and the notes of the clock."""
         counts = [table.numbers(k) for k in self.counters]
-        for k, held in zip(self.counters, counts, strict=True):
-            if not np.isfinite(held).all():
+        for k, counter in zip(self.counters, counts, strict=True):
+            if not np.isfinite(counter).all():
                 raise FileFormatError(
                     f"{self.path}: column {self.names[k]!r}: expected a count in every row, got none in data row "
-                    f"{int(np.isfinite(held).argmin()) + 1}. Repair the file."
+                    f"{int(np.isfinite(counter).argmin()) + 1}. Repair the file."
                 )
         return (np.empty(0), ()) if self.clock is None else self.clock(*counts)
 
@@ -259,11 +259,11 @@ def is_unit(text: str) -> bool:
 
 def split_unit(name: str) -> tuple[str, str]:
     """Return a column's name without its unit, and the unit: "A_X [mg]", "Time (s)", "Accel X,mG", "Time in ms", "acc_x_g"."""
-    found = re.fullmatch(r"(.*?)[\s_]*[\[(]([^\[\]()]*(?:\([^()]*\))?)[\])]\s*", name) or re.fullmatch(
+    match = re.fullmatch(r"(.*?)[\s_]*[\[(]([^\[\]()]*(?:\([^()]*\))?)[\])]\s*", name) or re.fullmatch(
         r"(.+?)(?:,| in (?=[mu]?s *$))\s*(\S*)\s*", name
     )
-    if found and (is_unit(found.group(2)) or not re.search(r"\d\]$", name)):
-        return found.group(1), found.group(2)
+    if match and (is_unit(match.group(2)) or not re.search(r"\d\]$", name)):
+        return match.group(1), match.group(2)
     suffix = _SUFFIX.search(name)
     if suffix and any(pattern.search(name) for _, pattern in _KIND):
         return name[: suffix.start()], _NATIVE[suffix.group(1).lower()]
@@ -272,8 +272,8 @@ def split_unit(name: str) -> tuple[str, str]:
 
 def label_of(name: str, unit: str = "", assumed: Mapping[str, str] | None = None) -> Label | None:
     """Return the content of a column from its name and unit. The units ``assumed`` come from a maker's manual."""
-    base, own = split_unit(name)
-    unit, axis, stem = unit or own, "", base
+    base, name_unit = split_unit(name)
+    unit, axis, stem = unit or name_unit, "", base
     for pattern in _AXIS:
         if hits := list(pattern.finditer(base)):
             at = hits[-1]
@@ -289,25 +289,27 @@ def label_of(name: str, unit: str = "", assumed: Mapping[str, str] | None = None
         channel = "temp"  # "T" in degC
     if channel is None or (not axis and channel not in ("time", "temp")):
         return None
-    known = unit_for(unit or (assumed or {}).get(channel, ""), channel)
-    if unit and known is None and channel in ("gyro", "accel") and is_unit(unit):
+    scaled_unit = unit_for(unit or (assumed or {}).get(channel, ""), channel)
+    if unit and scaled_unit is None and channel in ("gyro", "accel") and is_unit(unit):
         return None  # the unit contradicts the name
     tokens = re.split(r"[\W_]+", stem) if channel not in ("time", "free") else []
     kind = dict(_KIND)[channel]
     tokens = [token for token in tokens if token and not _WORDS.match(token) and not kind.search(token)]
-    if known and known[0] in DEVICE_UNITS and channel in ("mag", "temp"):
-        known = None  # they need a scale, which only a map states
-    return Label(" ".join(tokens), channel, axis if channel not in ("time", "temp") else "", *(known or ("", 1.0)))
+    if scaled_unit and scaled_unit[0] in DEVICE_UNITS and channel in ("mag", "temp"):
+        scaled_unit = None  # they need a scale, which only a map states
+    return Label(
+        " ".join(tokens), channel, axis if channel not in ("time", "temp") else "", *(scaled_unit or ("", 1.0))
+    )
 
 
 def labelled(sheet: Sheet, assumed: Mapping[str, str] | None = None, *, whole_names: bool = False) -> Sheet:
     """Return the sheet with a label for each column, sensors named by what their names do not share, or by whole names."""
-    held = [label_of(name, unit, assumed) for name, unit in zip(sheet.names, sheet.units, strict=True)]
-    words = [set(label.sensor.split()) for label in held if label and label.axis]
-    shared = set.intersection(*words) if words and not whole_names else set()
+    read_labels = [label_of(name, unit, assumed) for name, unit in zip(sheet.names, sheet.units, strict=True)]
+    sensor_words = [set(label.sensor.split()) for label in read_labels if label and label.axis]
+    shared = set.intersection(*sensor_words) if sensor_words and not whole_names else set()
     labels = tuple(
         label and label._replace(sensor=" ".join(word for word in label.sensor.split() if word not in shared))
-        for label in held
+        for label in read_labels
     )
     clocks = [k for k, label in enumerate(labels) if label and label.channel == "time"]
     first = _cells(sheet.rows.split(b"\n", 1)[0].decode("utf-8", "replace"), sheet.layout.delimiter)
@@ -321,10 +323,10 @@ def labelled(sheet: Sheet, assumed: Mapping[str, str] | None = None, *, whole_na
 
 def with_manual(sheet: Sheet, maker: str, assumed: Mapping[str, str], *, whole_names: bool = False) -> Sheet:
     """Return the sheet with labels whose units come from a maker's manual, and a note of those that it supplied."""
-    stated = {label.channel for label in labelled(sheet).labels if label and label.unit}
+    labelled_channels = {label.channel for label in labelled(sheet).labels if label and label.unit}
     sheet = labelled(sheet, assumed, whole_names=whole_names)
-    held = {label.channel for label in sheet.labels if label and label.unit} - stated
-    units = ", ".join(f"{channel} {unit}" for channel, unit in assumed.items() if channel in held)
+    assumed_channels = {label.channel for label in sheet.labels if label and label.unit} - labelled_channels
+    units = ", ".join(f"{channel} {unit}" for channel, unit in assumed.items() if channel in assumed_channels)
     note = (f"units by the manual of {maker}, not in the file: {units}",) if units else ()
     return replace(sheet, notes=(*sheet.notes, *note))
 
@@ -336,17 +338,17 @@ Triples = dict[str, dict[str, tuple[int, ...]]]  # channel, sensor: the columns 
 
 def triples_of(sheet: Sheet, channels: tuple[str, ...] = ("gyro", "accel", "mag")) -> Triples:
     """Return the three axes of each channel and sensor. Physical units are preferred to counts."""
-    found: Triples = {}
+    triples: Triples = {}
     for channel in channels:
         groups: dict[tuple[str, str, float], dict[str, int]] = {}
         for k, label in enumerate(sheet.labels):
             if label and label.channel == channel and label.unit:
                 groups.setdefault((label.sensor, label.unit, label.gain), {}).setdefault(label.axis, k)
         for (sensor, unit, _), axes in groups.items():
-            held = found.setdefault(channel, {})
-            if len(axes) == 3 and (sensor not in held or unit != "count"):
-                held[sensor] = tuple(axes[axis] for axis in AXES)
-    return {channel: held for channel, held in found.items() if held}
+            sensors = triples.setdefault(channel, {})
+            if len(axes) == 3 and (sensor not in sensors or unit != "count"):
+                sensors[sensor] = tuple(axes[axis] for axis in AXES)
+    return {channel: sensors for channel, sensors in triples.items() if sensors}
 
 
 def sheet_table(sheet: Sheet, how: ColumnMap) -> RawTable:
@@ -432,9 +434,9 @@ def _check_readings(sheet: Sheet, triples: Triples) -> None:
             missing="readings",
             gravity_removed=True,
         )
-    held = ", ".join(repr(name) for name in sheet.names[:8] if name)
+    listing = ", ".join(repr(name) for name in sheet.names[:8] if name)
     raise FileFormatError(
-        f"{sheet.path}: expected gyroscope or accelerometer columns x, y, z with a unit, got {held}. Export them, "
+        f"{sheet.path}: expected gyroscope or accelerometer columns x, y, z with a unit, got {listing}. Export them, "
         f"or use a map "
         "(`column_map` FILE).",
         missing="readings",
@@ -442,13 +444,13 @@ def _check_readings(sheet: Sheet, triples: Triples) -> None:
 
 
 def _chosen(sheet: Sheet, triples: Triples, sensor: str | None) -> dict[str, tuple[int, ...]]:
-    named = [sensor for channel in ("accel", "gyro") for sensor in triples.get(channel, {}) if sensor]
-    names = tuple(dict.fromkeys(named))
+    sensors = [sensor for channel in ("accel", "gyro") for sensor in triples.get(channel, {}) if sensor]
+    names = tuple(dict.fromkeys(sensors))
     several = any(len(held) > 1 for channel, held in triples.items() if channel != "mag")
     same = [name for name in names if sensor is not None and name.lower() == sensor.lower()]
-    part = [name for name in names if sensor is not None and sensor.lower() in name.lower()]
+    partial_matches = [name for name in names if sensor is not None and sensor.lower() in name.lower()]
     # of that name, or the only one whose name holds it
-    wanted = same[0] if same else part[0] if len(part) == 1 else None
+    wanted = same[0] if same else partial_matches[0] if len(partial_matches) == 1 else None
     if wanted is None and names and (several or sensor is not None):
         got = "none" if sensor is None else repr(sensor)
         raise InputError(
@@ -471,11 +473,11 @@ def _chosen(sheet: Sheet, triples: Triples, sensor: str | None) -> dict[str, tup
 
 
 def _temperature(sheet: Sheet, sensor: str | None) -> int | None:
-    held = [
+    thermometers = [
         (label.sensor, k) for k, label in enumerate(sheet.labels) if label and label.channel == "temp" and label.unit
     ]
-    mine = [k for name, k in held if sensor is not None and name.lower() == sensor.lower()]
-    return mine[0] if mine else held[0][1] if len(held) == 1 else None
+    mine = [k for name, k in thermometers if sensor is not None and name.lower() == sensor.lower()]
+    return mine[0] if mine else thermometers[0][1] if len(thermometers) == 1 else None
 
 
 def _notes(sheet: Sheet, triples: Triples) -> tuple[str, ...]:
@@ -489,8 +491,8 @@ def _notes(sheet: Sheet, triples: Triples) -> tuple[str, ...]:
     if free:
         notes.append(f"{free!r} left out: gravity is removed in it")
     for channel, what in (("gyro", "turn rate"), ("accel", "acceleration"), ("mag", "magnetic field")):
-        held = zip(sheet.names, sheet.labels, strict=True)
-        bare = next((name for name, x in held if x and x.channel == channel and not x.unit), None)
+        labels = zip(sheet.names, sheet.labels, strict=True)
+        bare = next((name for name, x in labels if x and x.channel == channel and not x.unit), None)
         axes = {x.axis for x in sheet.labels if x and x.channel == channel and x.unit}
         if axes and channel not in triples:
             notes.append(f"{what} left out: it has axes {', '.join(sorted(axes))} alone")
@@ -513,9 +515,9 @@ def is_labelled(path: Path, head: bytes) -> bool:
 def states_units(sheet: Sheet) -> bool:
     """Return True if labels contain a unit for a gyroscope or an accelerometer, and for the time column, if any."""
     clocks = [label for label in sheet.labels if label and label.channel == "time"]
-    held = triples_of(sheet, ("gyro", "accel", "free"))
+    triples = triples_of(sheet, ("gyro", "accel", "free"))
     bare = {label.channel for label in sheet.labels if label and not label.unit and label.channel in ("gyro", "accel")}
-    return bool(held) and bare <= held.keys() and (not clocks or any(clock.unit for clock in clocks))
+    return bool(triples) and bare <= triples.keys() and (not clocks or any(clock.unit for clock in clocks))
 
 
 def read_labelled(path: Path, how: ColumnMap) -> RawTable:

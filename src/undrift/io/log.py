@@ -112,10 +112,10 @@ def lines_of(content: bytes, path: Path | None = None) -> Iterator[LogLine]:
 def _stamp(line: str) -> tuple[float | None, str]:
     """Return the time of a stamp before a line, s, and the line without it."""
     for pattern in _STAMPS:
-        if found := pattern.match(line):
-            clock = {key: float(cell.replace(",", ".")) for key, cell in found.groupdict().items() if cell}
+        if match := pattern.match(line):
+            clock = {key: float(cell.replace(",", ".")) for key, cell in match.groupdict().items() if cell}
             seconds = {"h": 3600.0, "m": 60.0, "s": 1.0, "ms": 1e-3, "us": 1e-6}
-            return sum(seconds[key] * value for key, value in clock.items()), line[found.end() :].strip()
+            return sum(seconds[key] * value for key, value in clock.items()), line[match.end() :].strip()
     return None, line
 
 
@@ -144,11 +144,11 @@ def find_readings(content: bytes, path: Path | None = None) -> SerialLog | None:
     if stamped:
         names = [str(k) for k in range(len(names) + 1)] if bare else ["time (s)", *names]
         rows = [[f"{lines[0].stamp_s:.6f}", *row] for lines, row in zip(readings, rows, strict=True)]
-    named = tuple(name or f"column {k}" for k, name in enumerate(names))
+    column_names = tuple(name or f"column {k}" for k, name in enumerate(names))
     before = every.index(readings[0][0])
     lost = len(every) - before - len(readings) * len(cycle) + (not content.endswith(b"\n"))
     plain = not stamped and not "".join(chain.from_iterable(cycle)).strip(" ,;")
-    return SerialLog(named, "".join(",".join(row) + "\n" for row in rows).encode(), before, lost, plain)
+    return SerialLog(column_names, "".join(",".join(row) + "\n" for row in rows).encode(), before, lost, plain)
 
 
 def readings_in(lines: Iterable[LogLine], cycle: Sequence[tuple[str, ...]]) -> Iterator[list[LogLine]]:
@@ -199,34 +199,37 @@ def _slots(line: int, heading: str, *cells: str) -> Iterator[NumberSlot]:
     group, word, inner = 0, heading, ""
     for cell, behind in pairwise(cells):
         text = cell if cell is cells[0] else cell[len(_unit_of(cell)[1]) :]
-        units = [held for held in _IN_BRACKETS.findall(text) if is_unit(held)]
-        words = _WORD.findall(_IN_BRACKETS.sub(" ", text))
-        axis = words.pop().lower() if words and words[-1].lower() in AXES else ""
-        if heading and cell is cells[0] and is_unit(" ".join(words)):  # "Degrees C = 25.1" under "Thermometer:"
-            units, words = [" ".join(words)], []
-        if words or units:
-            group, word, inner = group + 1, _quantity(words) if words else word, units[0] if units else ""
+        units = [bracket for bracket in _IN_BRACKETS.findall(text) if is_unit(bracket)]
+        name_words = _WORD.findall(_IN_BRACKETS.sub(" ", text))
+        axis = name_words.pop().lower() if name_words and name_words[-1].lower() in AXES else ""
+        if heading and cell is cells[0] and is_unit(" ".join(name_words)):  # "Degrees C = 25.1" under "Thermometer:"
+            units, name_words = [" ".join(name_words)], []
+        if name_words or units:
+            group, word, inner = group + 1, _quantity(name_words) if name_words else word, units[0] if units else ""
         yield NumberSlot((line, group), word, axis, _unit_of(behind)[0] or inner)
 
 
 def _unit_of(behind: str) -> tuple[str, str]:
     """Return the unit at the start of the text after a number, and the text it takes. Return "" if there is no unit."""
     for pattern in _UNITS_BEHIND:
-        if (found := pattern.match(behind)) and is_unit(unit := found.group(1)):
-            return unit, found.group()
+        if (match := pattern.match(behind)) and is_unit(unit := match.group(1)):
+            return unit, match.group()
     return "", ""
 
 
-def _quantity(words: Sequence[str]) -> str:
+def _quantity(name_words: Sequence[str]) -> str:
     """Return the last words that name the same quantity as all of them do: "Acc" of "Scaled. Acc"."""
 
     def channel(some: Sequence[str]) -> str:
         label = label_of(f"{' '.join(some)} x")
         return label.channel if label else ""
 
-    wanted = channel(words)
+    wanted = channel(name_words)
     return " ".join(
-        next((words[k:] for k in reversed(range(len(words))) if wanted and channel(words[k:]) == wanted), words)
+        next(
+            (name_words[k:] for k in reversed(range(len(name_words))) if wanted and channel(name_words[k:]) == wanted),
+            name_words,
+        )
     )
 
 

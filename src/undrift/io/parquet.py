@@ -51,8 +51,8 @@ def iter_parquet(path: str | Path, how: ColumnMap = READ_SETTINGS, *, rows: int 
                 f"{path}: expected a time column to read in chunks, got none. Add time_s, or read the "
                 f"file in one piece."
             )
-        for part in _batches(path, handle, rows):
-            record = build_record(replace(own, columns=tuple(part.columns)), how).record
+        for chunk in _batches(path, handle, rows):
+            record = build_record(replace(own, columns=tuple(chunk.columns)), how).record
             if last is not None and record.time[0] <= last:
                 raise InputError(
                     f"{path}: expected strictly increasing time, got {last:.9g} s then {record.time[0]:.9g} s. Repair the file."
@@ -108,10 +108,10 @@ class ParquetWriter:
         from pyarrow import parquet as pq
 
         names, columns = native_columns(record)
-        held = marks_of(record) | {"kind": KIND, "format": FORMAT}
+        marks = marks_of(record) | {"kind": KIND, "format": FORMAT}
         for triad, unit in (("gyro", record.gyro_unit), ("accel", record.accel_unit)):
-            held[f"{triad}_unit"] = None if getattr(record, triad) is None else unit
-        metadata = {_KEY: json.dumps(held, sort_keys=True).encode()}
+            marks[f"{triad}_unit"] = None if getattr(record, triad) is None else unit
+        metadata = {_KEY: json.dumps(marks, sort_keys=True).encode()}
         metadata[_CRC] = _crc(names, metadata[_KEY])
         schema = pa.schema([(name, pa.float64()) for name in names], metadata=metadata)
         if self._writer is None:
@@ -193,16 +193,16 @@ def _batches(path: str | Path, handle: Any, rows: int) -> Iterator[Any]:
     """Yield Arrow tables of ``rows`` rows. A single last row is added to the chunk before it."""
     import pyarrow as pa
 
-    held, count = list[Any](), 0
+    batches, count = list[Any](), 0
     with sound(Path(path), "Parquet"):
         for batch in handle.iter_batches(batch_size=rows):
-            held.append(batch)
+            batches.append(batch)
             count += batch.num_rows
             while count >= rows + 2:  # what is left over is a chunk of its own
-                table = pa.Table.from_batches(held)
+                table = pa.Table.from_batches(batches)
                 yield table.slice(0, rows)
-                held, count = table.slice(rows).to_batches(), count - rows
-    yield pa.Table.from_batches(held, schema=handle.schema_arrow)
+                batches, count = table.slice(rows).to_batches(), count - rows
+    yield pa.Table.from_batches(batches, schema=handle.schema_arrow)
 
 
 def _table(path: str | Path, table: Any) -> RawTable:

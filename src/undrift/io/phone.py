@@ -70,11 +70,11 @@ def read_phone_pair(gyro_file: Path, accel_file: Path, how: ColumnMap) -> RawTab
     inside = np.flatnonzero((gyro_time >= accel_time[0]) & (gyro_time <= accel_time[-1]))
     if len(inside) < 2:
         raise FileFormatError(f"{path}: {name} and {other} do not overlap in time. Read only one of them.")
-    part = gyro.record.part(int(inside[0]), int(inside[-1]) + 1)
-    values, missing = onto_clock(part.time, accel_time, accel.record.accel)
+    overlap = gyro.record.part(int(inside[0]), int(inside[-1]) + 1)
+    values, missing = onto_clock(overlap.time, accel_time, accel.record.accel)
     notes = [f"{other} interpolated onto the time stamps of {name}"]
     notes += [f"{missing} samples in drop-outs of {other} are gaps"] * bool(missing)
-    record = replace(part, accel=values, accel_unit=accel.record.accel_unit)
+    record = replace(overlap, accel=values, accel_unit=accel.record.accel_unit)
     return _table_of(path, record, how, dict.fromkeys((*gyro.notes, *accel.notes, *notes)))
 
 

@@ -92,19 +92,21 @@ def gyro_unit_of(record: Record) -> tuple[str, int, float, float] | None:
     if record.gyro is None or record.accel is None or count < _LEAST_WINDOWS:
         return None
     gyro, accel = (values[: count * size].reshape(count, size, 3) for values in (record.gyro, record.accel))
-    part = max(1, size // 4)
-    means = (accel[:, cut].mean(axis=1) for cut in (slice(None, part), slice(-part, None)))
+    quarter = max(1, size // 4)
+    means = (accel[:, cut].mean(axis=1) for cut in (slice(None, quarter), slice(-quarter, None)))
     first, last = (mean / np.linalg.norm(mean, axis=1, keepdims=True) for mean in means)
     moved = np.arccos(np.clip((first * last).sum(axis=1), -1.0, 1.0))
     usable = (moved > _MOVED[0]) & (moved < _MOVED[1])
     if usable.sum() < _LEAST_WINDOWS:
         return None
-    turned = (gyro - np.nanmedian(record.gyro, axis=0)).mean(axis=1)[usable] * (size - part) / record.sample_rate_hz
+    rotation = (
+        (gyro - np.nanmedian(record.gyro, axis=0)).mean(axis=1)[usable] * (size - quarter) / record.sample_rate_hz
+    )
     misses = {}
     for unit, factor in (("rad/s", 1.0), ("dps", RADIAN_PER_DEGREE)):
-        expected = rotate(quaternion_of(-factor * turned), first[usable])
-        apart = np.arccos(np.clip((expected * last[usable]).sum(axis=1), -1.0, 1.0))
-        misses[unit] = float(np.nanmedian(apart)) / RADIAN_PER_DEGREE
+        expected = rotate(quaternion_of(-factor * rotation), first[usable])
+        angle = np.arccos(np.clip((expected * last[usable]).sum(axis=1), -1.0, 1.0))
+        misses[unit] = float(np.nanmedian(angle)) / RADIAN_PER_DEGREE
     best, other = sorted(misses, key=lambda unit: misses[unit])
     if not misses[best] < _CLEARLY * misses[other]:
         return None
@@ -136,10 +138,10 @@ def session_text(
         blocks[0] += (
             "# gravity_m_s2 = ?   # missing: standard gravity is assumed. Enter yours, or latitude_deg and height_m\n"
         )
-    stated = {} if file_map is None else json.loads(file_map.text)
+    map_keys = {} if file_map is None else json.loads(file_map.text)
     for number in range(len(session.records)):
-        own = [os.path.relpath(file, folder) for file in files[number * width : (number + 1) * width]]
-        blocks.append(toml_block("recording", {"file": own[0] if width == 1 else own, **stated}))
+        names = [os.path.relpath(file, folder) for file in files[number * width : (number + 1) * width]]
+        blocks.append(toml_block("recording", {"file": names[0] if width == 1 else names, **map_keys}))
     times = [record.time for record in session.records]
     pieces: list[Still | Turn] = [*session.stills, *session.turns]
     blocks += [piece_toml(piece_entry(piece, times[piece.recording])) for piece in pieces]

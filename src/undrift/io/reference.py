@@ -120,31 +120,31 @@ def find_label(markers: Markers, name: str) -> str | None:
     def plain(label: str) -> str:
         return "".join(c for c in label.rsplit(":", 1)[-1].upper() if c not in "._- ")
 
-    known = {plain(label): label for label in reversed(markers.labels)}
-    return next((known[alias] for alias in ALIASES.get(name, (name,)) if alias in known), None)
+    labels = {plain(label): label for label in reversed(markers.labels)}
+    return next((labels[alias] for alias in ALIASES.get(name, (name,)) if alias in labels), None)
 
 
 def _needed(markers: Markers, names: tuple[str, ...], body: str) -> list[str]:
-    found = [find_label(markers, name) for name in names]
-    missing = [name for name, label in zip(names, found, strict=True) if label is None]
+    labels = [find_label(markers, name) for name in names]
+    missing = [name for name, label in zip(names, labels, strict=True) if label is None]
     if missing:
         raise InputError(
             f"{markers.name or 'markers'}: {body}: expected markers {', '.join(names)}, but {', '.join(missing)} "
             f"are missing. Rename the markers, or use a cluster."
         )
-    return [label for label in found if label is not None]
+    return [label for label in labels if label is not None]
 
 
 def _pelvis_labels(markers: Markers) -> list[str]:
-    held = (names for names in _PELVES if all(find_label(markers, name) for name in names))
-    return _needed(markers, next(held, _PELVES[0]), "pelvis")
+    candidates = (names for names in _PELVES if all(find_label(markers, name) for name in names))
+    return _needed(markers, next(candidates, _PELVES[0]), "pelvis")
 
 
 def _pelvis_axes(shape: FloatArray) -> tuple[FloatArray, FloatArray]:
     left_front, right_front, left_rear, right_rear = np.moveaxis(shape, -2, 0)
     rear, front = 0.5 * (left_rear + right_rear), 0.5 * (left_front + right_front)
-    left = left_front + left_rear - right_front - right_rear
-    return rear, _axes(up=np.cross(front - rear, left), forward=front - rear)
+    leftward = left_front + left_rear - right_front - right_rear
+    return rear, _axes(up=np.cross(front - rear, leftward), forward=front - rear)
 
 
 def _axes(*, up: FloatArray, forward: FloatArray) -> FloatArray:
@@ -162,14 +162,14 @@ def _pelvis(markers: Markers) -> Body:
     cluster = fit_cluster(markers, labels)
     origin, turn = _pelvis_axes(cluster.template)
     q_mb = Rotation.from_matrix(turn).as_quat(scalar_first=True)
-    whole = cluster.visible >= len(labels)
+    complete = cluster.visible >= len(labels)
     poses = cluster.reference
     centre = poses.position if poses.position is not None else np.full((len(poses), 3), np.nan)
     return Body(
         reference=Reference(
             time=poses.time,
-            q_nb=np.where(whole[:, None], quaternion_product(poses.q_nb, q_mb), np.nan),
-            position=np.where(whole[:, None], centre + rotate(poses.q_nb, origin), np.nan),
+            q_nb=np.where(complete[:, None], quaternion_product(poses.q_nb, q_mb), np.nan),
+            position=np.where(complete[:, None], centre + rotate(poses.q_nb, origin), np.nan),
             name=f"{markers.name} pelvis".strip(),
         ),
         labels=tuple(labels),
@@ -184,13 +184,16 @@ def _trunk(markers: Markers) -> Body:
     x = markers.pick(labels)
     low, frame = _pelvis_axes(x[:, :4])
     turn = _axes(up=x[:, 4] - low, forward=frame[:, :, 0])
-    seen: BoolArray = np.asarray(np.isfinite(turn).all(axis=(1, 2)))
-    if not seen.any():
+    visible: BoolArray = np.asarray(np.isfinite(turn).all(axis=(1, 2)))
+    if not visible.any():
         raise InputError(f"{markers.name or 'markers'}: trunk: expected frames with all of its markers, got none")
     q = np.full((len(x), 4), np.nan)
-    q[seen] = Rotation.from_matrix(turn[seen]).as_quat(scalar_first=True)
+    q[visible] = Rotation.from_matrix(turn[visible]).as_quat(scalar_first=True)
     poses = Reference(
-        time=markers.time, q_nb=q, position=np.where(seen[:, None], low, np.nan), name=f"{markers.name} trunk".strip()
+        time=markers.time,
+        q_nb=q,
+        position=np.where(visible[:, None], low, np.nan),
+        name=f"{markers.name} trunk".strip(),
     )
     return Body(reference=poses, labels=tuple(labels), residual=0.0)
 
@@ -327,8 +330,8 @@ def write_reference(reference: Reference, path: str | Path) -> None:
     if path.suffix.lower() == ".csv":
         write_rows(path, names, columns)
     elif path.suffix.lower() == ".parquet":
-        held = {name: pa.array(column, from_pandas=True) for name, column in zip(names, columns, strict=True)}
-        write_whole(path, lambda part: pq.write_table(pa.table(held), str(part), use_dictionary=False))
+        table = {name: pa.array(column, from_pandas=True) for name, column in zip(names, columns, strict=True)}
+        write_whole(path, lambda part: pq.write_table(pa.table(table), str(part), use_dictionary=False))
     else:
         raise InputError(f"{path}: expected a name ending in .parquet or .csv. Change the ending.")
 
@@ -448,17 +451,17 @@ def reference_of(
 ) -> Reference:
     """Return poses in the level frame, lost frames as gaps, time from 0."""
     size = np.linalg.norm(q_nb, axis=1)
-    seen = np.abs(size - 1.0) < NEARLY_UNIT
-    if np.isfinite(size).any() and not seen.any():
+    valid = np.abs(size - 1.0) < NEARLY_UNIT
+    if np.isfinite(size).any() and not valid.any():
         raise FileFormatError(
             f"{path}: expected unit quaternions, got length {np.nanmedian(size):.3g}. Check the export."
         )
-    q_nb = np.where(seen[:, None], q_nb / np.where(seen, size, 1.0)[:, None], np.nan)
+    q_nb = np.where(valid[:, None], q_nb / np.where(valid, size, 1.0)[:, None], np.nan)
     with naming(path):
         return Reference(
             time=time,
             q_nb=quaternion_product(_FROM_Y_UP, q_nb) if up == "y" else q_nb,
-            position=None if position is None else np.where(seen[:, None], level_from(position, up or "z"), np.nan),
+            position=None if position is None else np.where(valid[:, None], level_from(position, up or "z"), np.nan),
             name=f"{path.name} {name}".strip(),
         )
 

@@ -105,23 +105,24 @@ def _read_sidecar(path: Path, names: Sequence[str]) -> dict[str, Any] | None:
         return None
     content = read_tree(beside) if beside.stat().st_size else b""
     try:
-        held = json.loads(content)
+        sidecar = json.loads(content)
     except (ValueError, RecursionError):
-        held = None
-    if not isinstance(held, dict) or held.get("kind") != KIND:
+        sidecar = None
+    if not isinstance(sidecar, dict) or sidecar.get("kind") != KIND:
         if b'"undrift.' in content:
             raise FileFormatError(f"{beside}: this JSON file was changed after undrift wrote it. Restore the file.")
         return None  # of another program
-    if held.get("format") != FORMAT:
+    if sidecar.get("format") != FORMAT:
         raise FileFormatError(
-            f"{beside}: expected {KIND} format {FORMAT}, got format {held.get('format')}. Read it with the undrift that wrote it."
+            f"{beside}: expected {KIND} format {FORMAT}, got format {sidecar.get('format')}. Read it with the "
+            f"undrift that wrote it."
         )
-    if [*held.get("columns", ())] != [*names]:
+    if [*sidecar.get("columns", ())] != [*names]:
         raise FileFormatError(
-            f"{beside}: expected the columns of {path.name} ({', '.join(names)}), got {', '.join(held.get('columns', ()))}. "
+            f"{beside}: expected the columns of {path.name} ({', '.join(names)}), got {', '.join(sidecar.get('columns', ()))}. "
             "It belongs to another table. Move it away."
         )
-    return read_marks(held, f"{beside}: expected the frame, state and device of a recording, got other keys")
+    return read_marks(sidecar, f"{beside}: expected the frame, state and device of a recording, got other keys")
 
 
 def write_rows(
@@ -135,10 +136,10 @@ def write_rows(
 
     table = _table_of(names, columns)
 
-    def write(part: Path) -> None:
+    def write(target: Path) -> None:
         packs = path.suffix == ".gz"
         with (
-            pa.OSFile(str(part), "wb") as raw,
+            pa.OSFile(str(target), "wb") as raw,
             pa.CompressedOutputStream(raw, "gzip") if packs else nullcontext(raw) as sink,
         ):
             sink.write(f"{','.join(names)}\n".encode())
