@@ -103,7 +103,7 @@ def test_a_span_above_the_limit_is_a_finding_with_its_cost() -> None:
     assert found.code == "session.temperature"
     assert found.values["span_k"] == pytest.approx(3.6, rel=1e-3)
     assert found.values["offset"] == pytest.approx(0.9, rel=1e-3)  # half the span at 0.5 mg/K
-    assert "scale by 0.036 %" in found.detail
+    assert "0.036 %" in found.detail  # of the scale
     wide = replace(seen, session=replace(seen.session, sensitivity=TemperatureSensitivity(span_limit_k=4.0)))
     assert creep_of(wide, seen.stills, "accel").findings() == ()
 
