@@ -145,7 +145,7 @@ def find_mounting(
         "mount.look",
         "info",
         what=f"its side {ahead} points forward, its side {upward} up",
-        why="if they do not, accelerometer columns are exchanged or reversed, which a walk cannot determine",
+        why="if they do not, accelerometer columns are exchanged or have the opposite sign, which a walk cannot determine",
     )
     uncertain = finding("mount.uncertain", "warn", degrees=worn.uncertainty / DEG, limit=WARN / DEG)
     verdict = Verdict.of(look, *((uncertain,) if worn.uncertainty > WARN else ()))

@@ -351,9 +351,10 @@ def test_rests_beside_the_turns_count_though_the_session_states_none():
     both, alone = (observe(session, CalibrateSettings(identify_adc=False)) for session in (stated, faces))
     accel = calibrate_faces(both, None).fit
     every, found = (calibrate_turns(seen, None, accel) for seen in (both, alone))
-    # the search loses half a second at each end of a rest of six: a tenth of its weight
+    # The search loses half a second at each end of a rest of six, which is a tenth of its weight. The temperature is counted from
+    # the mean time of the faces, which are all in the first half, so a drift adds a third.
     sigma = found.fit.model.standard_uncertainty[9:12] / every.fit.model.standard_uncertainty[9:12]
-    np.testing.assert_allclose(sigma, 1.0, atol=0.15)
+    np.testing.assert_allclose(sigma, 1.2, atol=0.3)
 
 
 def test_turns_without_a_rest_beside_them_are_marginal():

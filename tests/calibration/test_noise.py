@@ -108,7 +108,7 @@ def test_records_that_move_have_gaps_or_say_nothing_are_refused() -> None:
         fit_noise(Record(time=record.time, gyro=moved))
     holed = np.array(record.gyro)
     holed[40:] = np.nan
-    with pytest.raises(InputError, match="got 40 beside"):
+    with pytest.raises(InputError, match="got 40 and"):
         fit_noise(Record(time=record.time, gyro=holed))
     stuck = np.array(record.gyro)
     stuck[:, 2] = 4.0

@@ -117,7 +117,7 @@ def test_an_axis_five_degrees_off_the_case_is_bad():
         angle = np.radians(angle_deg)
         axes = np.eye(3)
         axes[0, :2] = np.cos(angle), np.sin(angle)
-        accel = replace(device.accel, scale=replace(device.accel.scale, axes=axes, cross_axis=np.zeros((3, 3))))
+        accel = replace(device.accel, scale=replace(device.accel.scale, axes=axes))
         session = simulate_session("six_face", replace(device, accel=accel), rng=rng)
         found = calibrate(session, settings=PLAIN).verdict.findings
         assert ("accel.implausible" not in codes(found)) == status

@@ -246,7 +246,7 @@ CALIBRATIONS = {
     "another kind": ('{"kind": "undrift.device", "format": 1}', "expected kind 'undrift.calibration'"),
     "another version": ("version", "expected format 1, got 99"),
     "another shape": ("shape", "expected"),
-    "another unit": ("unit", "expected"),
+    "another unit": ("unit", "is for readings in v"),
     "a list": ("[1, 2]", "expected kind 'undrift.calibration'"),
     "a folder": ("folder", "no calibration of"),
 }

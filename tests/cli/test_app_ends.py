@@ -132,7 +132,7 @@ except InputError as error:
     words = [sys.executable, "-c", code, str(tmp_path / "o.parquet")]
     paths = os.pathsep.join((str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")))
     done = subprocess.run(words, capture_output=True, text=True, check=True, env={**os.environ, "PYTHONPATH": paths})
-    assert done.stdout.startswith(f"{tmp_path / 'o.parquet'}: cannot be written: File too large; check")
+    assert done.stdout.startswith(f"{tmp_path / 'o.parquet'}: cannot be written: File too large. Check")
     assert done.stdout.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
 

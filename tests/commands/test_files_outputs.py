@@ -101,7 +101,7 @@ def test_a_file_that_may_not_be_read_is_one_line(undrift, bench, plain_user, com
     words = ["info", held / "trial.parquet"]
     if command != "info":
         words = words_of(command, held, held / f"result{WRITERS[command][1]}")
-    assert "rights" in undrift.refused(*words)
+    assert "permissions" in undrift.refused(*words)
     assert not list(held.glob("result*"))
 
 

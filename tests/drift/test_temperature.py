@@ -190,7 +190,7 @@ def test_set_points_stand_in_for_a_column():
         (
             WARM_UP + 100.0,
             InputError,
-            r"125 degC at 841.2 s \(15588 such\)",
+            r"125 degC at 841.2 s \(15588 readings\)",
         ),
     ],
 )

@@ -61,7 +61,7 @@ def rate(true: int, stated: int) -> tuple[str, ...]:
     """Return what names a sample rate that is another than stated."""
     number = rf"{true}(?:\.\d+)?|{true // 10}\d(?:\.\d+)?|{true // 10 - 1}\d(?:\.\d+)?"
     return (
-        rf"(?:{number}) (?:samples a second|Hz)[^;]*{stated}(?:\.\d+)? (?:were|was|samples|Hz|declared|stated)[^;]*",
+        rf"(?:{number}) (?:samples a second|Hz)[^;]*(?:instead of {stated}|{stated}(?:\.\d+)? (?:were|was|samples|Hz|declared|stated))",
         rf"sample rate[^;]*{stated}[^;]*(?:{number})|sample rate[^;]*(?:{number})[^;]*{stated}",
     )
 
@@ -110,7 +110,7 @@ TURN_ANGLE = (
     r"--turn-deg",
 )
 SCALE_AS_STATED = (
-    r"comes from the stated turns only[^;]*wrong angle, rate or sample rate",
+    r"depends on the given turns only[^;]*wrong angle, rate or sample rate",
 )  # A note: any turn may be wrong
 TURN_SIGN = (r"sign of the turns?|turns?[^;]*(?:opposite|reversed|wrong sign)|reversed[^;]*turns",)
 UPSIDE_DOWN = (

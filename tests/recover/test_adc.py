@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from undrift.calibration.codes import identify_adc
-from undrift.sim.device.effects import Rounding, converted
+from undrift.sim.device.effects import Rounding
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device
 from undrift.sim.sessions import simulate_trial
@@ -33,7 +33,7 @@ def test_what_a_device_reads_is_what_its_converter_makes_of_what_it_gets(roundin
     device = replace(device, gyro=replace(device.gyro, adc=replace(device.gyro.adc, rounding=rounding)))
     minute = simulate_trial("free", device, rng=rng, sample_rate_hz=RATE_HZ).record.gyro
     assert minute is not None
-    np.testing.assert_array_equal(minute, converted(analog[: len(minute)], device.gyro.adc)[0])
+    np.testing.assert_array_equal(minute, device.gyro.adc.converted(analog[: len(minute)])[0])
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -44,7 +44,7 @@ def test_step_and_rounding_of_a_logger_in_a_quarter_of_an_hour_of_motion(
     rounding: Rounding, told: str, seed: int
 ) -> None:
     device, analog = before_the_converter(seed)
-    readings = converted(analog, replace(device.gyro.adc, rounding=rounding))[0]
+    readings = replace(device.gyro.adc, rounding=rounding).converted(analog)[0]
     found = identify_adc(readings)
     assert found.lsb is not None
     np.testing.assert_allclose(found.lsb, device.gyro.adc.step, rtol=1e-6)  # deg/s; floating point alone blurs it

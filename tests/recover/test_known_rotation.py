@@ -85,10 +85,10 @@ def test_faces_and_turns_give_back_the_device_without_noise(mode: KnownRotationM
     rng = np.random.default_rng(1)
     device = white_device(rng, g_sensitivity=True).without_noise()
     found, wanted = parameters(fitted(device, rng, mode)), reported(truth(device))
-    # rounding of a sum of 200 readings; affine, the prior of the g-sensitivity against the stated flicker of the offset
+    # rounding of a sum of 200 readings; affine, the prior of the g-sensitivity against the flicker and drift of the offset
     share = {"paper": 1e-11, "affine": 1e-7}[mode]
     np.testing.assert_allclose(found[:9], wanted[:9], rtol=0, atol=share * wanted[0])
-    np.testing.assert_allclose(found[9:12], wanted[9:12], rtol=1e-7, atol=100.0 * share)
+    np.testing.assert_allclose(found[9:12], wanted[9:12], rtol=1e-7, atol=1000.0 * share)
     np.testing.assert_allclose(found[12:], wanted[12:], rtol=1e-3 if mode == "affine" else 1e-7, atol=share)
 
 

@@ -307,7 +307,7 @@ def test_what_is_no_recording_gets_one_line_and_is_not_kept(
     page = open_page("/check")
     for name, content, words in (
         ("virus.exe", b"MZ", "expected a recording"),
-        ("empty.csv", b"", "got an empty file"),
+        ("empty.csv", b"", "is empty"),
         ("noise.parquet", bytes(range(256)) * 40, "binary data of an unknown kind"),
     ):
         (tmp_path / name).write_bytes(content)
