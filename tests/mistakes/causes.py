@@ -60,8 +60,9 @@ MS, US, NS = (time_in(one) for one in ("(?:milliseconds|ms)", "(?:microseconds|u
 def rate(true: int, stated: int) -> tuple[str, ...]:
     """Return what names a sample rate that is another than stated."""
     number = rf"{true}(?:\.\d+)?|{true // 10}\d(?:\.\d+)?|{true // 10 - 1}\d(?:\.\d+)?"
+    wrong = rf"(?:instead of {stated}|{stated}(?:\.\d+)? (?:were|was|samples|Hz|declared|stated))"
     return (
-        rf"(?:{number}) (?:samples a second|Hz)[^;]*(?:instead of {stated}|{stated}(?:\.\d+)? (?:were|was|samples|Hz|declared|stated))",
+        rf"(?:{number}) (?:samples a second|Hz)[^;]*{wrong}",
         rf"sample rate[^;]*{stated}[^;]*(?:{number})|sample rate[^;]*(?:{number})[^;]*{stated}",
     )
 
