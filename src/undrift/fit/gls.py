@@ -102,13 +102,14 @@ def solve(
     *,
     excess: Mapping[str, FloatArray] | None = None,
     prior: Prior | None = None,
+    start: Mapping[str, float] | None = None,
 ) -> GlsFit:
     """Fit theta to y = X theta + e for ``design`` X (E, P) and ``value`` y (E,).
 
     ``sources`` contains the known covariances S_i by name, and ``excess`` the shapes E_j of errors of unknown size. Each is a
     matrix (E, E) or its diagonal (E,). The sum of the sources must be positive definite. In the budget, an excess belongs to the
-    source named by the first word of its kind. Raise ``numpy.linalg.LinAlgError`` if rows and prior together do not determine
-    theta.
+    source named by the first word of its kind. ``start`` contains first values of the excess variances, from a similar fit. Raise
+    ``numpy.linalg.LinAlgError`` if rows and prior together do not determine theta.
     """
     length = np.linalg.norm(design, axis=0)
     length[length == 0.0] = 1.0
@@ -122,7 +123,7 @@ def solve(
         stated=np.sum([*parts.values()], axis=0),
         shapes=tuple(shapes.values()),
     )
-    variances, state = _excess_variances(rows)
+    variances, state = _excess_variances(rows, None if start is None else np.array([start[kind] for kind in shapes]))
     freedom = [_degrees(state.projector @ shape) for shape in rows.shapes]
     gains = state.gains / length[:, None]
     for (kind, shape), variance, nu in zip(shapes.items(), variances, freedom, strict=True):
@@ -175,9 +176,13 @@ def solve_inverse(
     smallest = float(np.sqrt(np.diag(np.sum([_matrix(term) for term in sources.values()], axis=0)).min()))
     known_g = force is not None and prior is not None
     slope: FloatArray = np.zeros((3, 3))  # H
+    variances: Mapping[str, float] | None = None
     for number in range(ROUNDS):
         as_read = prior if prior is None or not known_g else _convert_prior(prior, matrix, slope)
-        fit = solve(design, (value - remainder @ matrix.T).ravel(), sources, excess=excess, prior=as_read)
+        fit = solve(
+            design, (value - remainder @ matrix.T).ravel(), sources, excess=excess, prior=as_read, start=variances
+        )
+        variances = fit.excess
         change, matrix = fit.theta[:9].reshape(3, 3) - matrix, fit.theta[:9].reshape(3, 3)
         if np.abs(remainder @ change.T).max() <= CONVERGED * smallest and not (known_g and number == 0):
             break
@@ -280,14 +285,16 @@ class _Rows:
 # likelihood may have several maxima, so the descent begins with the kind that is likeliest without the others.
 
 
-def _excess_variances(rows: _Rows) -> tuple[FloatArray, _State]:
-    """Return the variance s_j >= 0 of each shape, and the solution for them."""
+def _excess_variances(rows: _Rows, first: FloatArray | None) -> tuple[FloatArray, _State]:
+    """Return the variance s_j >= 0 of each shape, and the solution for them. Begin with ``first`` (J,), if it is given."""
     zero: FloatArray = np.zeros(len(rows.shapes))
     start = zero, rows.solve(zero)
     # a shape that the parameters absorb does not appear in the residuals, and its variance stays zero
     shares = [((start[1].projector * shape).sum(), SHOWN * (start[1].inverse * shape).sum()) for shape in rows.shapes]
     observable = np.array([k for k, (residual, least) in enumerate(shares) if residual > least], int)
-    if len(observable) > 1:
+    if first is not None:
+        start = first, rows.solve(first)
+    elif len(observable) > 1:
         candidates = (_climb(rows, *start, observable[[n]], FIRST_STEPS) for n in range(len(observable)))
         start = min(candidates, key=lambda found: found[1].deviance)
     return _climb(rows, *start, observable, MAX_ITERATIONS)
@@ -295,12 +302,13 @@ def _excess_variances(rows: _Rows) -> tuple[FloatArray, _State]:
 
 def _climb(rows: _Rows, variances: FloatArray, state: _State, free: IntArray, steps: int) -> tuple[FloatArray, _State]:
     """Improve the variances of the free shapes with at most ``steps`` steps of Fisher scoring. Return them and their solution."""
-    shapes = [rows.shapes[k] for k in free]
+    places = [np.flatnonzero(rows.shapes[k].any(axis=1)) for k in free]  # a shape is zero outside its own rows
+    shapes = [(place, rows.shapes[k][np.ix_(place, place)]) for k, place in zip(free, places, strict=True)]
     for _ in range(steps if shapes else 0):
-        products = [state.projector @ shape for shape in shapes]
-        square = [float(state.weighted @ shape @ state.weighted) for shape in shapes]
-        score = np.array(square) - [np.trace(product) for product in products]
-        information = np.array([[float((a * b.T).sum()) for b in products] for a in products])
+        products = [(place, state.projector[:, place] @ shape) for place, shape in shapes]
+        square = np.array([state.weighted[place] @ shape @ state.weighted[place] for place, shape in shapes])
+        score = square - [np.trace(product[place]) for place, product in products]
+        information = np.array([[(a[q] * b[p].T).sum() for q, b in products] for p, a in products])
         step = np.zeros(len(variances))
         step[free] = _bounded_step(variances[free], score, information)
         if score @ step[free] <= 2.0 * TOLERANCE**2:
