@@ -8,6 +8,7 @@ import re
 import signal
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -127,7 +128,8 @@ def run(case: Case, folder: Path) -> Told:
     if case.call is not None:
         return _python(case)
     if case.page is not None:
-        return asyncio.run(_page(case, folder))
+        with ThreadPoolExecutor(1) as pool:  # a browser test of the same worker leaves a loop running in this thread
+            return pool.submit(asyncio.run, _page(case, folder)).result()
     return _command(words_of(case, folder))
 
 
