@@ -84,8 +84,9 @@ def _gyro_by_gravity(path: str, proposal: MapProposal) -> tuple[str, str] | None
 
 
 def gyro_unit_of(record: Record) -> tuple[str, int, float, float] | None:
-    """Return rad/s or dps, the number of moves used, and the gravity error of either unit, deg. Return None if not
-    observable.
+    """Return the unit (rad/s or dps), the number of moves used, and the gravity error with each unit, deg.
+
+    Return None if the motion does not determine the unit.
     """
     size = max(4, round(_WINDOW_S * record.sample_rate_hz))
     count = len(record) // size

@@ -62,7 +62,7 @@ _TABLES = {
 
 
 def pack(calibration: Calibration | None) -> Values | None:
-    """Return the values of a fit, NaN for one that failed. Return None if it has more than the file can contain."""
+    """Return the values of a fit, or NaN if it failed. Return None if the file cannot contain all its values."""
     if calibration is None:
         return np.full(33, np.nan), b""
     gyro, accel = calibration.gyro, calibration.accel
