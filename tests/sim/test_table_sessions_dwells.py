@@ -7,11 +7,11 @@ import pytest
 
 from testkit.data import show
 from undrift.errors import InputError
-from undrift.kernels.device import add_drift
 from undrift.sim.device.effects import WhiteNoise
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.simulate import simulate_device
+from undrift.sim.kernels import add_drift
 from undrift.sim.motion.motion import Motion
 from undrift.sim.table_sessions import ImposedDwells, mean_readings, numbers_of_dwell
 

@@ -28,7 +28,7 @@ IMPORTED += (
     "undrift.rig.galil",
     "undrift.rig.simulated",
 )
-IMPORTED += ("cyclopts", "rich.console", "undrift.kernels.device", "undrift.io.parquet", "pyarrow.parquet", "pandas")
+IMPORTED += ("cyclopts", "rich.console", "undrift.sim.kernels", "undrift.io.parquet", "pyarrow.parquet", "pandas")
 IMPORTED += ("undrift.calibration.calibrate", "undrift.correction.correct", "undrift.io.store")
 if FORKS.get_start_method() == "forkserver":
     FORKS.set_forkserver_preload([*IMPORTED, *(f"undrift.commands.{name}" for name in COMMANDS)])

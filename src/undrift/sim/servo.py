@@ -16,7 +16,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import check_positive
-from undrift.kernels.device import ANGLE, ERROR, SAMPLES, Loop, servo
+from undrift.sim.kernels import ANGLE, ERROR, SAMPLES, Loop, servo
 
 COUNTS_PER_LINE = 4
 LOG_S = 1e-3  # between two angles that are returned

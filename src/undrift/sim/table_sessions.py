@@ -9,7 +9,7 @@ For a dwell at the commanded rate w about the axis e of the case::
 The device is mounted once for each axis. A table has one tilt and one clock error.
 
 Mean readings are drawn from their distribution. The steady part of a dwell passes every effect of the chain once. The drift of the
-offset is simulated with the actual processes (kernels/device.py). White noise N and codes of a step q add, over n readings in T s::
+offset is simulated with the actual processes (sim/kernels.py). White noise N and codes of a step q add, over n readings in T s::
 
     sd^2 = N^2 / T + q^2 / (12 n)
 
@@ -152,7 +152,7 @@ def mean_readings(
 
     normals (U, 3, ``numbers_of_dwell``), row (N,): dwells of different sessions with one row have the same draws.
     """
-    from undrift.kernels.device import add_drift
+    from undrift.sim.kernels import add_drift
 
     chain: SensorChain = getattr(device, name)
     level = _steady(chain, dwells.rate_b if name == "gyro" else dwells.force_b, dwells, device.reference_temp_c)

@@ -323,7 +323,7 @@ def play(temp_c: FloatArray, half_width: float, start_c: float | None = None) ->
     """Return the output of a play operator that follows a temperature, degC."""
     if start_c is None and np.ptp(temp_c) == 0.0:
         return temp_c
-    from undrift.kernels.device import follow_with_play
+    from undrift.sim.kernels import follow_with_play
 
     follower, start_c = np.empty(len(temp_c)), float(temp_c[0]) if start_c is None else start_c
     follow_with_play(np.ascontiguousarray(temp_c), half_width, start_c, follower)
@@ -380,7 +380,7 @@ class BiasInstability(Effect):
         return np.asarray(self.shortest_s * RATIO ** np.arange(count))
 
     def apply(self, x: FloatArray, scene: Scene, past: Past) -> FloatArray:
-        from undrift.kernels.device import add_process
+        from undrift.sim.kernels import add_process
 
         sd = self.instability * math.sqrt(math.log(RATIO) / math.pi)
         total, draws, states = np.array(x, order="C"), np.empty(x.shape), past.state
