@@ -187,9 +187,18 @@ def code_variance(step: FloatArray, scatter: FloatArray) -> FloatArray:
     )
 
 
+def scatter_of_readings(windows: Sequence[FloatArray]) -> FloatArray:
+    """Return the variance S (3,) of single readings, from windows (N, 3) in which they vary slowly.
+
+    It is half the variance of successive differences, minus its standard error over the windows: Q falls steeply as S rises.
+    """
+    each = np.array([0.5 * np.diff(window, axis=0).var(axis=0) for window in windows])
+    return np.asarray(each.mean(axis=0) - each.std(axis=0) / np.sqrt(len(each)))
+
+
 def mean_rounding(values: Sequence[FloatArray], rests: Sequence[FloatArray]) -> FloatArray:
     """Return the standard deviation (3,) of a mean at rest due to rounding, from all readings and those at rest, (N, 3) each."""
-    return np.sqrt(code_variance(_steps(values), np.mean([rest.var(axis=0) for rest in rests], axis=0)))
+    return np.sqrt(code_variance(_steps(values), scatter_of_readings(rests)))
 
 
 def limited_by_codes(

@@ -203,9 +203,9 @@ def _sources(rows: _TableRows, matrix: FloatArray, dwells: DwellMeans) -> dict[s
     floor = (MIN_NOISE * float(np.abs(rows.reading).max())) ** 2 + 1e-300
     noise = np.zeros_like(rows.reading) if rows.noise is None else rows.noise**2
     codes = np.minimum(dwells.codes, noise)
-    # Equal inputs have equal rounding errors. Inputs a step or more apart have independent errors, because their positions between
-    # two codes are unknown. For smaller distances the correlation falls linearly.
-    place = rows.rate @ np.linalg.inv(matrix).T / np.where(dwells.codes > 0.0, dwells.step, 1.0)
+    # Equal readings have equal rounding errors. Readings a step or more apart have independent errors, because their positions
+    # between two codes are unknown. For smaller distances the correlation falls linearly.
+    place = rows.reading / np.where(dwells.codes > 0.0, dwells.step, 1.0)
     rounding = np.sqrt(codes[:, None] * codes) * np.maximum(1.0 - np.abs(place[:, None] - place), 0.0)
     sources = {
         "noise": in_case(matrix, np.eye(count)[:, :, None] * np.maximum(noise - codes, floor)[:, None]),

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
-from undrift.calibration.codes import code_steps, code_variance, mean_rounding
+from undrift.calibration.codes import code_steps, code_variance, mean_rounding, scatter_of_readings
 from undrift.calibration.plausibility import axis_vectors, check_range
 from undrift.calibration.session import spans_of
 from undrift.errors import InputError
@@ -93,7 +93,7 @@ def dwell_means(
     ]
     noise = noise_of_means(windows, [block_size(records[t.recording].sample_rate_hz) for t in used])
     step = code_steps([records[k] for k in {t.recording for t in used}], rate=True)
-    codes = code_variance(step, np.median([w.var(axis=0) for w in windows], axis=0)) if used else np.zeros(3)
+    codes = code_variance(step, scatter_of_readings(windows)) if used else np.zeros(3)
     return DwellMeans(
         reading=np.array([w.mean(axis=0) for w in smooth]).reshape(-1, 3),
         turn_rate=np.array([t.turn_rate for t in used], float),
