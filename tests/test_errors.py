@@ -7,7 +7,6 @@ import pytest
 
 from testkit.walking import perfect_calibration
 from undrift import errors
-from undrift.calibration.calibrate import calibrate_from_motion
 from undrift.calibration.reference import ReferenceSettings
 from undrift.correction.correct import Corrector, correct
 from undrift.drift.fit import DriftSettings
@@ -54,7 +53,6 @@ def test_an_error_travels_between_processes():
         (lambda: correct(STILL, CALIBRATION, policy="whatever"), "policy"),
         (lambda: correct(STILL, CALIBRATION, offset="whatever"), "offset"),
         (lambda: Corrector(CALIBRATION, "whatever"), "policy"),
-        (lambda: calibrate_from_motion([STILL], adc="whatever"), "adc"),
     ],
 )
 def test_unknown_choice_is_refused_with_the_choices(make, name):

@@ -45,7 +45,7 @@ def rows(devices: int, seed: int) -> Iterator[Row]:
             session = Session(
                 kind="calibration", serial="", records=records, gravity_m_s2=STANDARD_GRAVITY, gravity_source="standard"
             )
-            calibration, fit = from_motion(session, identify_adc=True)
+            calibration, fit = from_motion(session)
             true = true_calibration(device)
             groups = {
                 f"{triad[0]}. {name}": _against(observable, *models)

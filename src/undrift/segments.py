@@ -22,7 +22,6 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, runs, window_sums
 from undrift.errors import InputError
-from undrift.findings import told_apart
 from undrift.record import FACES, Axis, Face, Record, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
@@ -398,48 +397,6 @@ def _why_none(
     return f"no still phase: the quietest {settings.window_s:g} s windows vary by {floors} rms, and {why}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LeftOut:
-    """A quiet stretch that does not count as a still phase."""
-
-    start: int
-    stop: int
-    why: str  # too short, too restless, or in a steady turn, with numbers
-
-
-def left_out(record: Record, search: StillSearch) -> tuple[LeftOut, ...]:
-    """Return the quiet stretches, up to four thresholds, that touch no still phase, with the reason for each."""
-    pairs = [
-        (triad, threshold)
-        for triad, threshold in zip(_moments(record, search.settings), search.thresholds, strict=True)
-        if threshold.basis != "none"
-    ]
-    if not pairs:
-        return ()
-    ratio = np.array([triad.spread / max(threshold.value, threshold.noise_floor) for triad, threshold in pairs])
-    worst, edge, stretches = ratio.max(axis=0), pairs[0][0].edge, list[LeftOut]()
-    quiet = worst <= _NEAR
-    for start, stop in runs(~quiet):
-        quiet[start:stop] = start > 0 and stop - start <= 2 * edge  # a jerk does not divide a pause
-    for first, last in runs(quiet).tolist():
-        if any(still.start < last + 2 * edge and first < still.stop for still in search.stills):
-            continue
-        quietest = first + int(np.argmin(worst[first:last]))
-        triad, threshold = pairs[int(np.argmax(ratio[:, quietest]))]
-        spread, limit = max(float(triad.spread[quietest]), threshold.noise_floor), threshold.value
-        rest = max((stop - start for start, stop in runs(worst[first:last] <= 1.0).tolist()), default=0)
-        if spread > limit:
-            value, most = told_apart(spread, ".3g", limit), told_apart(limit, ".3g", spread)
-            why = f"too restless: {value} {triad.unit} rms, limit {most}"
-        elif rest < sample_count(search.settings.min_duration_s, record.sample_rate_hz):
-            rest_s = rest / record.sample_rate_hz
-            why = f"too short: {rest_s:.2g} s at rest, limit {search.settings.min_duration_s:g} s"
-        else:
-            why = f"in a steady turn: {np.linalg.norm(pairs[0][0].mean[quietest]):.3g} {pairs[0][0].unit}"
-        stretches.append(LeftOut(start=first + edge, stop=last + edge, why=why))
-    return tuple(stretches)
-
-
 # ---- poses: still phases with the window and threshold that suit the recordings
 
 WINDOWS_S = (2.0, 1.0, 0.5, 0.25)
@@ -448,7 +405,6 @@ LEAST_POSES = 9  # free poses of a fit of nine parameters
 _SAME = float(np.cos(5.0 * RADIAN_PER_DEGREE))  # neighbouring stills nearer than this are one pose
 _APART = float(np.cos(20.0 * RADIAN_PER_DEGREE))  # poses farther apart give a fit new information
 _SPAN = 0.2  # smallest singular value of their directions, which are not in a plane
-_NEAR = 4.0  # thresholds: a stretch as quiet as this may have been meant as a rest
 _ALL_STILL = 0.95  # share of still samples from which nothing moves, and no pose can be missing
 _MOST_SAMPLES = 2_000_000  # nobody poses a device in the hand for longer
 

@@ -172,7 +172,7 @@ def test_nothing_to_fit_is_an_error_that_says_what_to_record():
 def test_a_quarter_of_gravity_is_caught_before_anything_is_fitted():
     record = still_record()
     session = Session(kind="static", serial="", gravity_m_s2=9.81, records=(replace(record, accel=record.accel / 4.0),))
-    with pytest.raises(Implausible, match="readings are 4 times too small"):
+    with pytest.raises(Implausible, match=r"median of 0\.25 g"):
         calibrate(session)
 
 
@@ -205,12 +205,6 @@ def test_truncated_codes_get_their_half_step_back_before_the_fit():
     assert np.abs(found.gyro.offset - truth).max() < 0.2 * np.abs(plain.gyro.offset - truth).max()
 
 
-def units_of(session, number, gyro_unit, accel_unit):
-    records = list(session.records)
-    records[number] = records[number].in_units(gyro_unit, accel_unit)
-    return replace(session, records=tuple(records))
-
-
 def rests_of(count, unit="rad/s"):
     rng = np.random.default_rng(25)
     shifts = 0.001 * rng.standard_normal((count, 3))
@@ -226,27 +220,12 @@ def rests_of(count, unit="rad/s"):
     return Session(kind="static", serial="", gravity_m_s2=9.81, records=records)
 
 
-def test_recordings_in_several_units_give_the_same_answer_as_in_one():
-    alike = rests_of(5)
-    plain = calibrate(alike)
-    mixed = calibrate(units_of(alike, 0, "dps", "g"))  # the model takes the unit of the first recording
-    assert (mixed.gyro.unit_in, plain.gyro.unit_in) == ("dps", "rad/s")
-    np.testing.assert_allclose(mixed.gyro.offset * np.pi / 180.0, plain.gyro.offset, rtol=1e-9)
-    np.testing.assert_allclose(
-        mixed.gyro.covariance[9:, 9:] * (np.pi / 180.0) ** 2, plain.gyro.covariance[9:, 9:], rtol=1e-6, atol=1e-30
-    )
-    later = calibrate(units_of(alike, 3, "dps", "mg"))
-    np.testing.assert_allclose(later.gyro.offset, plain.gyro.offset, rtol=1e-9)
-
-
-def test_counts_beside_a_physical_unit_are_refused_with_the_recording():
+@pytest.mark.parametrize("gyro", [None, "dps"])
+def test_recordings_with_other_sensors_or_units_are_refused(gyro):
     alike = rests_of(3)
-    records = (*alike.records[:2], replace(alike.records[2], gyro_unit="count"))
-    with pytest.raises(InputError, match="recording 2: its readings are in count"):
-        calibrate(replace(alike, records=records))
-    records = (replace(alike.records[0], gyro=None), *records[1:])
-    with pytest.raises(InputError, match="recording 2: its readings are in count"):
-        calibrate(replace(alike, records=records))
+    other = replace(alike.records[2], gyro=None) if gyro is None else replace(alike.records[2], gyro_unit=gyro)
+    with pytest.raises(InputError, match="readings in one unit"):
+        calibrate(replace(alike, records=(*alike.records[:2], other)))
 
 
 @pytest.mark.slow
@@ -295,18 +274,6 @@ def test_pauses_shorter_than_the_usual_window_are_found():
     seen = observe(session, CalibrateSettings())
     assert len(seen.stills) == 12
     assert seen.findings == ()
-
-
-def test_a_device_that_sways_throughout_has_no_short_pauses():
-    rng = np.random.default_rng(27)
-    time = np.arange(6000) / 100.0
-    sway = np.where(np.sin(2.0 * np.pi * time / 4.0) > 0.0, 1.0, 0.05)[:, None]
-    wave = np.sin(2.0 * np.pi * 1.3 * time[:, None] + [0.0, 1.0, 2.0])
-    noise = 0.002 * rng.standard_normal((6000, 3))
-    record = Record(time=time, gyro=sway * wave + noise, accel=[0.0, 0.0, 9.81] + 3.0 * (sway * wave + noise))
-    with pytest.raises(NotObservable, match="no still phase") as caught:
-        calibrate(Session(kind="calibration", serial="", gravity_m_s2=9.81, records=(record,)))
-    assert "pauses" not in str(caught.value)
 
 
 @pytest.mark.parametrize("latitude_deg", [float("nan"), 91.0])
@@ -361,24 +328,6 @@ def test_turns_that_are_all_saturated_leave_the_accelerometer():
     found = calibrate(session)
     assert (found.accel.method, found.gyro) == ("six-face/affine", None)
     assert only(found.verdict.findings, "session.saturated").values["count"] == 3
-
-
-@pytest.mark.parametrize("kind", ["ferraris", "multi_position"])
-def test_one_sensor_a_file_gives_what_each_file_determines(kind):
-    session = made(kind)
-    record = session.records[0]
-    apart = replace(
-        session,
-        records=(replace(record, accel=None), replace(record, gyro=None)),
-        stills=(*session.stills, *(replace(still, recording=1) for still in session.stills)),
-    )
-    both, only_gyro = calibrate(apart), replace(session, records=apart.records[:1])
-    assert relative(both.accel, DEVICE.accel) < 0.03
-    if kind == "ferraris":
-        assert both.gyro.method == calibrate(only_gyro).gyro.method == "known-rotation/affine"
-        assert relative(both.gyro, DEVICE.gyro) < 3e-3
-    else:  # moves need the accelerometers' poses, and rests give no scale of counts
-        assert both.gyro is None
 
 
 def test_gyroscopes_are_left_out_or_taken_at_rest_alone_where_that_is_asked():

@@ -462,12 +462,14 @@ def test_slow_moves_are_weighed_by_how_far_the_offset_wanders_in_them():
 def test_gyroscope_in_rad_declared_as_deg_is_refused_with_its_unit():
     rng = np.random.default_rng(12)
     bare = simulate_session("ferraris", random_device(rng), rng=rng, labelled=False)
-    made = calibrate(bare, settings=CalibrateSettings(turn_angle_deg=360.0)).gyro
-    read = (bare.records[0].gyro - made.offset) @ made.matrix.T  # rad/s
-    declared = replace(bare, records=(replace(bare.records[0], gyro=read, gyro_unit="dps"),))
+    made = calibrate(bare, settings=CalibrateSettings(turn_angle_deg=360.0))
+    rate = (bare.records[0].gyro - made.gyro.offset) @ made.gyro.matrix.T  # rad/s
+    force = (bare.records[0].accel - made.accel.offset) @ made.accel.matrix.T
+    read = replace(bare.records[0], gyro=rate, accel=force, gyro_unit="dps", accel_unit="m/s2")
+    declared = replace(bare, records=(read,))
     with pytest.raises(Implausible, match="is in rad/s, not deg/s") as refused:
         calibrate(declared, settings=CalibrateSettings(turn_angle_deg=360.0))
-    assert refused.value.ratio == pytest.approx(np.pi / 180.0, rel=0.05)
+    assert refused.value.turned_ratio == pytest.approx(np.pi / 180.0, rel=0.05)
 
 
 def test_moves_that_contradict_the_turns_are_a_warning_of_their_own():

@@ -1,7 +1,5 @@
 """Ten poses of 3 to 7 s held in the hand, from a support to a strong tremor, are found and calibrate the device."""
 
-import re
-
 import numpy as np
 import pytest
 
@@ -12,7 +10,7 @@ from undrift.calibration.session import observe
 from undrift.calibration.settings import CalibrateSettings
 from undrift.errors import InputError, NotObservable
 from undrift.record import Record, Session
-from undrift.segments import StillSettings, find_poses, find_still, left_out
+from undrift.segments import StillSettings, find_poses, find_still
 
 # Postural tremor of a hand with a phone: about 1 deg/s and 0.05 m/s2; a strong one is four times that.
 TREMORS = {
@@ -107,53 +105,6 @@ def test_the_reason_is_the_true_one_with_numbers():
     assert counts.stills == ()
     assert "no gap separates" in counts.reason
     assert "count against a floor of" in counts.reason
-
-
-def test_what_was_left_out_says_why():
-    rng = np.random.default_rng(4)
-    level = np.full(6000, 2.0)
-    level[:1500], level[2000:2120], level[3000:3400], level[4000:4600] = 0.01, 0.01, 0.05, 0.01
-    rate = np.zeros((6000, 3))
-    rate[4000:4600, 2] = 30.0
-    record = Record(
-        time=np.arange(6000) / 100.0, gyro=rate + level[:, None] * rng.standard_normal((6000, 3)), gyro_unit="dps"
-    )
-    search = find_still(record, StillSettings(threshold_floors=3.0))
-    assert [(s.start, s.stop > 1400) for s in search.stills] == [(0, True)]
-    out = left_out(record, search)
-    assert [one.why.partition(":")[0] for one in out] == ["too short", "too restless", "in a steady turn"]
-    numbers = [[float(number) for number in re.findall(r"[0-9.]+", one.why)] for one in out]
-    assert numbers[0][0] < 1.0 == numbers[0][1]
-    assert numbers[1][0] > numbers[1][1]
-    assert numbers[2][0] == pytest.approx(30.0, abs=0.1)
-    assert [1990 < out[0].start < 2130, out[1].start >= 3000, out[1].stop <= 3400] == [True, True, True]
-
-
-@pytest.mark.slow
-def test_what_is_refused_as_restless_is_above_the_limit_that_is_printed():
-    refused = 0
-    for seed in range(3):
-        record, _ = hand_held_log(np.random.default_rng(seed), TREMORS["severe"])
-        for piece in left_out(record, find_still(record)):
-            if piece.why.startswith("too restless: "):
-                value, limit = piece.why.split()[2], piece.why.split()[-1]
-                assert float(value) > float(limit), piece.why
-                refused += 1
-    assert refused >= 10
-
-
-def test_a_log_with_few_steady_poses_names_the_restless_ones():
-    calm, _ = hand_held_log(np.random.default_rng(1), TREMORS["supported"], poses=4)
-    shaky, _ = hand_held_log(np.random.default_rng(1), Tremor(rate_dps=6.0, sway_deg=0.1, accel=0.02), poses=4)
-    one = Record(
-        time=np.arange(len(calm) + len(shaky)) / 100.0,
-        gyro=np.concatenate((calm.gyro, shaky.gyro)),
-        accel=np.concatenate((calm.accel, shaky.accel)),
-    )
-    findings = observe(session_of(one), CalibrateSettings()).findings
-    restless = next(item for item in findings if item.code == "session.no_still")
-    assert restless.values["pauses"] == pytest.approx(4, abs=1)  # a strong jerk may part one
-    assert "too restless" in restless.text
 
 
 def test_settings_of_stills_above_zero_alone_are_taken():

@@ -14,6 +14,7 @@ from testkit.pictures import pictures_looked_at
 from testkit.remembered import folder_made_once, run_folder
 from undrift.base.summary import Origin
 from undrift.calibration.pieces import pieces_of
+from undrift.calibration.session import look
 from undrift.calibration.settings import CalibrateSettings
 from undrift.cli.app import run
 from undrift.commands.calibrate import judge_pieces, leverages
@@ -119,7 +120,7 @@ def test_every_page_reads_at_each_width_and_in_each_scheme(pages: Path) -> None:
 @pytest.mark.slow
 def test_the_page_of_a_calibration_shows_what_each_recording_gave(pages: Path) -> None:
     session, made = read_session(pages / "session"), read_calibration(pages / "c.json")
-    pieces, _ = pieces_of(session, CalibrateSettings(), made)
+    pieces = pieces_of(look(session, CalibrateSettings()), made)
     records, judged = judge_pieces(session, pieces, CalibrateSettings(), made)
     assert len(records) == len(session.records)
     assert [piece for piece in pieces if piece.why] == []

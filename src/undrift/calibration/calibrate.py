@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -30,7 +30,7 @@ from undrift.calibration.quality import check_accel, mean_reading
 from undrift.calibration.rate_table import calibrate_rates
 from undrift.calibration.reference import ReferenceFit, ReferenceSettings, fit_reference
 from undrift.calibration.reference_accel import fit_reference_accel, turned_like
-from undrift.calibration.session import Observed, Outcome, at_one_temperature, in_one_unit, observe
+from undrift.calibration.session import Observed, Outcome, at_one_temperature, observe
 from undrift.calibration.settings import AccelFit, CalibrateSettings, GyroFit, Mode
 from undrift.calibration.six_face import calibrate_faces
 from undrift.calibration.sources import creep_of, offset_drift
@@ -41,12 +41,11 @@ from undrift.fit.priors import SCALE_FACTOR
 from undrift.fit.triad import TriadFit, triad_fit
 from undrift.kernels.attitude import filtered_attitude
 from undrift.model import AdcModel, Calibration, Provenance, TriadModel, Verdict, versions_used
-from undrift.record import FACES, GravitySource, Record, Reference, Session, Turn, check_local_gravity
+from undrift.record import FACES, Record, Reference, Session, Turn, check_local_gravity
 from undrift.segments import unpadded
 from undrift.sync import LagSettings, padding
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
-Adc = Literal["auto", "none"]
 Fit = Callable[[Observed, Mode | None, TriadFit | None], Outcome]
 
 MIN_FREE_POSES = 9  # smallest number of poses of a multi-position fit
@@ -60,11 +59,12 @@ RECORD_TURNS = "record turns by known rates or angles"
 def calibrate_rest(observed: Observed, mode: Mode | None, accel: TriadFit | None) -> Outcome:
     """Measure the offset of the gyroscopes at rest, with a nominal scale factor."""
     records, stills = observed.session.records, observed.stills
-    unit = records[0].gyro_unit
-    # Faces and poses are meant for the accelerometers. Full turns were meant for the gyroscopes.
-    level: Level = "warn" if accel is None or observed.turns_of(2.0 * np.pi) else "info"
+    unit, steady = records[0].gyro_unit, 0 if observed.session.turns else len(observed.plateaus())
+    # Faces and poses are meant for the accelerometers. Full or steady turns were meant for the gyroscopes.
+    level: Level = "warn" if accel is None or steady or observed.turns_of(2.0 * np.pi) else "info"
+    record = f"give turn_rate_dps and axis for each of {steady} steady turns" if steady else RECORD_TURNS
     if not stills or not is_physical(unit):  # a model gives rad/s, and the scale of counts is unknown
-        return Outcome(findings=(_not_observable("Gyroscope", level, record=RECORD_TURNS),))
+        return Outcome(findings=(_not_observable("Gyroscope", level, record=record),))
     factor, creep = si_factor(unit, "rate"), creep_of(observed, stills, "gyro")
     offset, variance = observed.rest_rate(creep.columns(np.zeros(len(stills)), 1.0 / factor)[:, 0])
     means = np.array([mean_reading(records[still.recording].gyro, still.start, still.stop) for still in stills])
@@ -74,7 +74,7 @@ def calibrate_rest(observed: Observed, mode: Mode | None, accel: TriadFit | None
     nominal = f"the nominal scale of the unit is used, +- {100.0 * SCALE_FACTOR:g} % (1 sigma), and was not checked"
     fit = triad_fit(
         (means[~np.isnan(means).any(axis=1)] - offset) * factor,
-        Verdict.of(_not_observable("Gyroscope scale", level, why=nominal, record=RECORD_TURNS)),
+        Verdict.of(_not_observable("Gyroscope scale", level, why=nominal, record=record)),
         method="rest",
         unit_in=unit,
         unit_out="rad/s",
@@ -148,7 +148,7 @@ def calibrate(
     ('rate-table/affine', 'six-face/affine', 'good')
     """
     if isinstance(session, Record):
-        session = _build_session((session, *further), gravity_m_s2, "stated", serial)
+        session = _build_session((session, *further), gravity_m_s2, serial)
     elif further or gravity_m_s2 is not None or serial:
         raise InputError(
             "calibrate: a Session already contains its recordings, gravity and serial number. Give the session only."
@@ -156,16 +156,14 @@ def calibrate(
     return calibrated(session, accel=accel, gyro=gyro, mode=mode, settings=settings)[0]
 
 
-def _build_session(
-    records: Sequence[Record], gravity_m_s2: float | None, source: GravitySource, serial: str = ""
-) -> Session:
+def _build_session(records: Sequence[Record], gravity_m_s2: float | None, serial: str = "") -> Session:
     """Return recordings as a session, with standard gravity if none is given."""
     return Session(
         kind="calibration",
         serial=serial or records[0].device,
         records=tuple(records),
         gravity_m_s2=STANDARD_GRAVITY if gravity_m_s2 is None else gravity_m_s2,
-        gravity_source="standard" if gravity_m_s2 is None else source,
+        gravity_source="standard" if gravity_m_s2 is None else "stated",
     )
 
 
@@ -182,12 +180,10 @@ def calibrated(
     check_choice(gyro, GyroFit | None, "calibrate", "gyro")
     check_choice(mode, Mode | None, "calibrate", "mode")
     _check_raw(session.records)
-    session, other_temperatures = at_one_temperature(in_one_unit(session))
+    session, other_temperatures = at_one_temperature(session)
     adc, observed = _observe_restored(session, settings)
-    accel_outcome = _calibrate_accel(observed.with_triad("accel"), accel, mode)
-    rotated = observed.with_triad("gyro")
-    shared_recordings = any(record.accel is not None for record in rotated.session.records)
-    gyro_outcome = _calibrate_gyro(rotated, gyro, mode, accel_outcome.fit if shared_recordings else None)
+    accel_outcome = _calibrate_accel(observed, accel, mode)
+    gyro_outcome = _calibrate_gyro(observed, gyro, mode, accel_outcome.fit)
     findings = (*other_temperatures, *_doubts(observed, accel_outcome, gyro_outcome))
     findings += accel_outcome.findings + gyro_outcome.findings
     verdict, models = _collect_verdict(findings), dict[str, TriadModel]()
@@ -197,18 +193,10 @@ def calibrated(
     if not models:
         reasons = "; ".join(item.text for item in findings)
         raise NotObservable(f"calibrate: no pose or turn can be used for a fit: {reasons}")
-    calibration = Calibration(
-        device=session.serial or session.records[0].device,
-        reference_temp_c=observed.mean_temperature(),
-        gravity_m_s2=session.gravity_m_s2,
-        gyro=models.get("gyro"),
-        accel=models.get("accel"),
-        adc=adc,
-        verdict=verdict,
-        provenance=_provenance(_choices(observed, accel_outcome.method, gyro_outcome.method, mode), session.inputs),
-        file_map=session.file_map,
-    )
-    return calibration, observed
+    choices = _choices(observed, accel_outcome.method, gyro_outcome.method, mode)
+    return _build_calibration(
+        session, choices, observed.mean_temperature(), adc=adc, verdict=verdict, **models
+    ), observed
 
 
 def _collect_verdict(findings: Iterable[Finding]) -> Verdict:
@@ -259,7 +247,7 @@ def find_pieces(session: Session, settings: CalibrateSettings) -> tuple[Session,
 
     Rests get a face label if the accelerometers would be calibrated on faces.
     """
-    observed = _observe_restored(in_one_unit(session), settings)[1]
+    observed = _observe_restored(session, settings)[1]
     stills = observed.stills if observed.mostly_faces else tuple(replace(still, face=None) for still in observed.stills)
     turns = observed.session.turns or observed.full_turns()
     return replace(session, stills=stills, turns=turns), () if turns else observed.plateaus()
@@ -304,25 +292,21 @@ def _calibrate_gyro(observed: Observed, method: GyroFit | None, mode: Mode | Non
             raise NotObservable(f"gyroscope by {method}: no gyroscope readings. Map the gyro columns.")
         return Outcome()
     sound, saturated = observed.without_saturated_turns()
-    fit_name, steady = (method, 0) if method is not None else _choose_gyro_fit(sound, accel, saturated)
+    fit_name = method or _choose_gyro_fit(sound, bool(saturated))
     try:
         outcome = GYRO_FITS[fit_name](sound, mode, accel)
-        not_fitted = outcome.fit is None and (method is not None or fit_name != "rest")
-        if not_fitted or (
-            steady and (fit_name == "rest" or outcome.fit is None or outcome.fit.verdict.status == "bad")
-        ):
+        if outcome.fit is None and (method is not None or fit_name != "rest"):
             raise NotObservable("; ".join(item.text for item in outcome.findings))
     except CalibrationError as error:
-        if method is not None and isinstance(error, NotObservable):
+        # Steady turns on a table are not moves between rests. Slow moves between free poses are steady too.
+        on_table = accel is not None and accel.model.method != "multi-position" and bool(sound.plateaus())
+        if not isinstance(error, NotObservable) and (method is not None or sound.session.turns or not on_table):
+            raise
+        if method is not None:
             reasons = (f"gyroscope by {method}: {error}", *(item.text for item in saturated))
             raise NotObservable("; ".join(reasons), **error.numbers) from error
-        if not steady and not isinstance(error, NotObservable):
-            raise
-        why, record = str(error), RECORD_TURNS
-        if steady:  # turns on a table are not moves between rests, so the fit fails
-            why, record = f"{steady} steady turns have no rate", "give turn_rate_dps and axis for each"
         rest = calibrate_rest(observed, mode, accel)
-        failed = _not_observable("Gyroscope scale", "warn", why=why, record=record)
+        failed = _not_observable("Gyroscope scale", "warn", why=str(error), record=RECORD_TURNS)
         outcome = replace(rest, findings=(failed, *(() if rest.fit is None else rest.findings)))
     outcome = outcome.after(*saturated)
     if outcome.fit is None:
@@ -334,20 +318,17 @@ def _calibrate_gyro(observed: Observed, method: GyroFit | None, mode: Mode | Non
     return outcome
 
 
-def _choose_gyro_fit(observed: Observed, accel: TriadFit | None, saturated: tuple[Finding, ...]) -> tuple[GyroFit, int]:
-    """Return the first fit of the table above that the session allows, and the number of steady turns without a rate."""
+def _choose_gyro_fit(observed: Observed, saturated: bool) -> GyroFit:
+    """Return the first fit of the table above that the session allows."""
     turns = observed.session.turns
     if any(turn.turn_rate is not None for turn in turns):
-        return "rate-table", 0
+        return "rate-table"
     if saturated and not turns:
-        return "rest", 0
+        return "rest"
     if any(turn.angle is not None for turn in turns) or observed.full_turns():
-        return "known-rotation", 0
-    # Slow moves between free poses are steady too. With six faces, steady turns may come from a rate table.
-    free_poses = accel is not None and accel.model.method == "multi-position"
-    steady = 0 if free_poses else len(observed.plateaus())
-    with_force = any(record.accel is not None for record in observed.session.records)
-    return "multi-position" if with_force and len(observed.stills) >= MIN_FREE_POSES else "rest", steady
+        return "known-rotation"
+    with_force = observed.session.records[0].accel is not None
+    return "multi-position" if with_force and len(observed.stills) >= MIN_FREE_POSES else "rest"
 
 
 def _check_mode(triad: str, mode: Mode | None, outcome: Outcome, record: str) -> None:
@@ -356,18 +337,6 @@ def _check_mode(triad: str, mode: Mode | None, outcome: Outcome, record: str) ->
 
 
 # ---- where a calibration came from
-
-
-def _provenance(choices: Mapping[str, object], inputs: tuple[tuple[str, str], ...] = ()) -> Provenance:
-    return Provenance(
-        inputs=inputs,
-        settings=tuple(
-            (name, "none" if value is None else value if isinstance(value, str) else f"{value:g}")
-            for name, value in choices.items()
-        ),
-        versions=versions_used(),
-        created=datetime.now(UTC).isoformat(timespec="seconds"),
-    )
 
 
 def _choices(observed: Observed, accel: str, gyro: str, mode: Mode | None) -> dict[str, object]:
@@ -382,7 +351,6 @@ def _choices(observed: Observed, accel: str, gyro: str, mode: Mode | None) -> di
         **{name: value for name, value in settings.items() if name != "still"},
         **(asdict(session.rate_table) if gyro == "rate-table" else {}),
         **asdict(session.sensitivity),
-        "gravity": session.gravity_source,
         "stills": f"{len(observed.stills)} {'found' if observed.found else 'stated'}",
         "faces": ", ".join(face for face in FACES if face in faces) or "none",
         "turns": f"{len(turns)} {'stated' if session.turns else 'found'}" if turns else "none",
@@ -397,18 +365,29 @@ def _check_raw(records: Sequence[Record]) -> None:
         )
 
 
-def _build_calibration(session: Session, choices: Mapping[str, object], **of_calibration: Any) -> Calibration:
-    """Return the calibration of whole recordings, at their mean temperature."""
-    temps = [float(np.nanmean(record.temp_c)) for record in session.records if record.temp_c is not None]
-    recordings = {"gravity": session.gravity_source, "recordings": len(session.records)}
+def _build_calibration(
+    session: Session, choices: Mapping[str, object], temp_c: float, **of_calibration: Any
+) -> Calibration:
+    settings = {**choices, "gravity": session.gravity_source}
+    texts = ((n, "none" if v is None else v if isinstance(v, str) else f"{v:g}") for n, v in settings.items())
     return Calibration(
-        device=session.serial,
-        reference_temp_c=float(np.mean(temps)) if temps else float("nan"),
+        device=session.serial or session.records[0].device,
+        reference_temp_c=temp_c,
         gravity_m_s2=session.gravity_m_s2,
-        provenance=_provenance({**choices, **recordings}),
+        provenance=Provenance(
+            inputs=session.inputs,
+            settings=tuple(texts),
+            versions=versions_used(),
+            created=datetime.now(UTC).isoformat(timespec="seconds"),
+        ),
         file_map=session.file_map,
         **of_calibration,
     )
+
+
+def _mean_temperature(records: Sequence[Record]) -> float:
+    temps = [float(np.nanmean(record.temp_c)) for record in records if record.temp_c is not None]
+    return float(np.mean(temps)) if temps else float("nan")
 
 
 # ---- recordings with an orientation reference: no rig, no poses, only motion
@@ -418,11 +397,9 @@ def calibrate_to_references(
     records: Sequence[Record],
     references: Sequence[Reference],
     *,
-    adc: Adc = "auto",
     settings: ReferenceSettings = ReferenceSettings(),
     lag_settings: LagSettings = LagSettings(),
     gravity_m_s2: float | None = None,
-    gravity_source: GravitySource = "stated",
 ) -> Calibration:
     """Calibrate one device from recordings with an orientation reference.
 
@@ -432,14 +409,10 @@ def calibrate_to_references(
     ----------
     records, references : sequence of Record, sequence of Reference
         Raw recordings of one device, best with a rest of 3 s before the motion, and one reference per recording.
-    adc : str
-        "auto" corrects the rounding of the codes if it can be identified. "none" leaves the codes unchanged.
     settings, lag_settings : ReferenceSettings, LagSettings
         Settings of the fit, and of the search for the lag between the clocks.
     gravity_m_s2 : float, optional
         Local gravity, m/s2. If None, standard gravity is assumed and the verdict reports it.
-    gravity_source : str
-        Source of the value of gravity, stored in the calibration.
 
     Returns
     -------
@@ -451,20 +424,20 @@ def calibrate_to_references(
     InputError
         The recordings or references are unusable, as for ``fit_reference``.
     """
-    session = _build_session(records, gravity_m_s2, gravity_source)
-    check_choice(adc, Adc, "calibrate", "adc")
+    session = _build_session(records, gravity_m_s2)
     check_local_gravity(session.gravity_m_s2, "reference")
-    rounding = device_adc(records) if adc == "auto" else None
-    fit = fit_reference(records, references, settings=settings, adc=rounding, lag_settings=lag_settings)
+    adc = device_adc(records)
+    fit = fit_reference(records, references, settings=settings, adc=adc, lag_settings=lag_settings)
     verdict, accel = fit.triad.verdict, None
     if all(record.accel is not None for record in records):
-        readings = [restored(record, rounding) for record in records]
+        readings = [restored(record, adc) for record in records]
         accel, accel_verdict = _accel_by_reference(readings, references, fit, session.gravity_m_s2)
         verdict = verdict.also(accel_verdict)
     if accel is not None and session.gravity_source == "standard":
         verdict = verdict.also(Verdict.of(_gravity_assumed(session.gravity_m_s2, "info")))
-    choices = {"gyro": "reference", "adc": adc, "mounting": settings.mounting}
-    return _build_calibration(session, choices, gyro=fit.triad.model, accel=accel, adc=rounding, verdict=verdict)
+    choices = {"gyro": "reference", "mounting": settings.mounting, "recordings": len(records)}
+    temp_c = _mean_temperature(records)
+    return _build_calibration(session, choices, temp_c, gyro=fit.triad.model, accel=accel, adc=adc, verdict=verdict)
 
 
 def _accel_by_reference(
@@ -492,9 +465,7 @@ def _accel_by_reference(
 def calibrate_from_motion(
     records: Sequence[Record],
     *,
-    adc: Adc = "auto",
     gravity_m_s2: float | None = None,
-    gravity_source: GravitySource = "stated",
     magnetometer: bool = False,
 ) -> Calibration:
     """Calibrate both triads of a device from recordings in which it is turned about all axes.
@@ -503,7 +474,7 @@ def calibrate_from_motion(
     ----------
     records : sequence of Record
         Raw recordings of one device in physical units, 20 s or more each, best with a rest somewhere.
-    adc, gravity_m_s2, gravity_source
+    gravity_m_s2 : float, optional
         As for ``calibrate_to_references``.
     magnetometer : bool
         If True, also calibrate the magnetometer with the recordings that have one.
@@ -536,47 +507,37 @@ def calibrate_from_motion(
     >>> [f"{scale:.2f}" for scale in calibration.gyro.scale_factor]
     ['1.00', '1.01', '1.00']
     """
-    check_choice(adc, Adc, "calibrate", "adc")
-    if gravity_m_s2 is not None:
-        check_local_gravity(gravity_m_s2, "motion")
-    session = _build_session(records, gravity_m_s2, gravity_source)
-    return from_motion(session, identify_adc=adc == "auto", magnetometer=magnetometer)[0]
+    return from_motion(_build_session(records, gravity_m_s2), magnetometer=magnetometer)[0]
 
 
-def from_motion(session: Session, *, identify_adc: bool, magnetometer: bool = False) -> tuple[Calibration, InMotion]:
+def from_motion(session: Session, *, magnetometer: bool = False) -> tuple[Calibration, InMotion]:
     """Calibrate from the motion in a session, and also return the fit with the offset of each recording."""
     _check_raw(session.records)
-    stretches = [stretch for record in in_one_unit(session).records for stretch in without_gaps(record)]
+    stretches = [stretch for record in session.records for stretch in without_gaps(record)]
     records = [unpadded(stretch) for stretch in stretches]  # rows that fill a file up look like a rest
     findings = [item for pair in zip(stretches, records, strict=True) for item in padding(*pair)]
     findings += [item for record in records for item in check_triads(record)]
     assumed = session.gravity_source == "standard"
     if assumed:
         findings.append(_gravity_assumed(session.gravity_m_s2, "info"))
-    adc = device_adc(records) if identify_adc else None
+    adc = device_adc(records)
     readings = [restored(record, adc) for record in records]
-    fit_readings = partial(
-        fit_in_motion,
-        gravity_m_s2=session.gravity_m_s2,
-        gravity_uncertainty=GRAVITY_SPREAD if assumed else 0.0,
-    )
-    fit = fit_readings(readings)
+    uncertainty = GRAVITY_SPREAD if assumed else 0.0
+    fit_to = partial(fit_in_motion, gravity_m_s2=session.gravity_m_s2, gravity_uncertainty=uncertainty)
+    fit = fit_to(readings)
     verdict = fit.gyro.verdict
     if magnetometer:  # the magnetic field then is a second reference direction next to gravity
         field = _fit_field(readings, fit)
-        readings = [
-            record
-            if record.mag_ut is None
-            else replace(
-                record, mag_ut=field.magnetometer.corrected(record.mag_ut, _rate_in_motion(record, fit, number))
-            )
-            for number, record in enumerate(readings)
-        ]
-        fit = replace(fit_readings(readings, field=True), field=field)
+        for number, record in enumerate(readings):
+            if record.mag_ut is not None:
+                rate = _rate_in_motion(record, fit, number)
+                readings[number] = replace(record, mag_ut=field.magnetometer.corrected(record.mag_ut, rate))
+        fit = replace(fit_to(readings, field=True), field=field)
         verdict = fit.gyro.verdict.also(field.verdict)
     calibration = _build_calibration(
-        replace(session, serial=session.serial or records[0].device, records=tuple(records)),
-        {"gyro": "motion", "accel": "motion", "adc": "auto" if identify_adc else "none"},
+        session,
+        {"gyro": "motion", "accel": "motion", "recordings": len(records)},
+        _mean_temperature(records),
         gyro=fit.gyro.model,
         accel=fit.accel.model,
         magnetometer=None if fit.field is None else fit.field.magnetometer,

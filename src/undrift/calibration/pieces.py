@@ -8,15 +8,13 @@ import numpy as np
 
 from undrift.calibration.plausibility import stuck_windows
 from undrift.calibration.quality import saturated_turns
-from undrift.calibration.session import FULL_TURN, FULL_TURN_TOLERANCE, Observed, at_one_temperature, look
-from undrift.calibration.settings import CalibrateSettings
+from undrift.calibration.session import Observed
 from undrift.model import Calibration, TriadModel
-from undrift.record import Session, Still, Turn
-from undrift.segments import LeftOut, left_out
+from undrift.record import Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
 NOT_USED, SATURATED = "not used", "gyroscope saturated"
-MIN_MOVE_DEG, MIN_MOVE_SHARE = 5.0, 0.02  # smallest move that is drawn, or for counts its share of the largest move
+MIN_MOVE_SHARE = 0.02  # of the largest move: a smaller one is not drawn
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,81 +29,49 @@ class Piece:
     why: str = ""  # why it was left out, or "" if it was used or detected
 
 
-def pieces_of(
-    session: Session,
-    settings: CalibrateSettings = CalibrateSettings(),
-    calibration: Calibration | None = None,
-    observed: Observed | None = None,
-) -> tuple[tuple[Piece, ...], str]:
-    """Return the pieces of a session in order of time, and the reason if there is no still.
-
-    With ``calibration``, unused pieces contain a reason. ``observed`` saves a second search.
-    """
-    observed = look(session, settings) if observed is None else observed
-    stills = session.stills or observed.stills
-    selected = session if calibration is None else at_one_temperature(session)[0]
+def pieces_of(observed: Observed, calibration: Calibration | None = None) -> tuple[Piece, ...]:
+    """Return the pieces of a session in order of time. With ``calibration``, unused pieces contain a reason."""
     accel, gyro = ("", "") if calibration is None else (_method(calibration.accel), _method(calibration.gyro))
-    pieces = [
-        *(
-            _list_given_turns(session, selected, gyro, observed.settings)
-            if session.turns
-            else _list_detected_turns(observed, gyro)
-        )
-    ]
-    for still in stills:
-        unused = (session.stills and still not in selected.stills) or (accel == "six-face" and still.face is None)
-        pieces.append(_piece(still, still.recording, str(still.face or ""), NOT_USED if unused else ""))
-    for number, (record, search) in enumerate(zip(observed.session.records, observed.searches, strict=False)):
-        pieces += [_piece(pause, number, why=pause.why) for pause in left_out(record, search)]
-    reason = "" if stills else next((search.reason for search in observed.searches if search.reason), "")
-    return tuple(sorted(pieces, key=lambda piece: (piece.recording, piece.start))), reason
+    pieces = list(_given_turns(observed, gyro) if observed.session.turns else _moves(observed, gyro))
+    for still in observed.stills:
+        why = NOT_USED if accel == "six-face" and still.face is None else ""
+        pieces.append(_piece("still", still, str(still.face or ""), why))
+    return tuple(sorted(pieces, key=lambda piece: (piece.recording, piece.start)))
 
 
-def _piece(piece: Still | Turn | LeftOut, recording: int, label: str = "", why: str = "") -> Piece:
-    kind: Literal["still", "turn"] = "turn" if isinstance(piece, Turn) else "still"
-    return Piece(kind=kind, start=piece.start, stop=piece.stop, recording=recording, label=label, why=why)
+def _piece(kind: Literal["still", "turn"], piece: Still | Turn, label: str, why: str) -> Piece:
+    return Piece(kind=kind, start=piece.start, stop=piece.stop, recording=piece.recording, label=label, why=why)
 
 
 def _method(model: TriadModel | None) -> str:
     return "none" if model is None else model.method.partition("/")[0]
 
 
-def _is_used(turn: Turn, method: str) -> bool:
-    """Return True if a method uses a turn with this rate or angle, or if no method is given."""
-    return method == "" or {"rate-table": turn.turn_rate, "known-rotation": turn.angle}.get(method) is not None
-
-
-def _list_given_turns(session: Session, selected: Session, method: str, settings: CalibrateSettings) -> Iterator[Piece]:
-    saturated = saturated_turns(session, settings.settle_s) if method else ()
+def _given_turns(observed: Observed, method: str) -> Iterator[Piece]:
+    session = observed.session
+    saturated = saturated_turns(session, observed.settings.settle_s) if method else ()
     for number, turn in enumerate(session.turns):
-        label = str(turn.axis or "")
-        if turn.turn_rate is not None:
-            label = f"{label} {turn.turn_rate / RADIAN_PER_DEGREE:.0f} deg/s"
-        elif turn.angle is not None:
-            label = f"{label} {turn.angle / RADIAN_PER_DEGREE:.0f} deg"
-        why = "" if turn in selected.turns and _is_used(turn, method) else NOT_USED
-        yield _piece(turn, turn.recording, label, SATURATED if number in saturated else why)
+        used = not method or {"rate-table": turn.turn_rate, "known-rotation": turn.angle}.get(method) is not None
+        yield _piece("turn", turn, _label(turn), SATURATED if number in saturated else "" if used else NOT_USED)
 
 
-def _list_detected_turns(observed: Observed, method: str) -> Iterator[Piece]:
-    """Yield the steady turns and the moves between stills, as measured by the gyroscopes."""
-    for number, record, search in observed.turn_searches:
-        physical = is_physical(record.gyro_unit)
-        factor = si_factor(record.gyro_unit, "rate") / RADIAN_PER_DEGREE if physical else 1.0
-        for turn, rate in zip(search.plateaus, search.plateau_rate * factor, strict=True):
-            rotates = any(turn.start < move.stop and move.start < turn.stop for move in search.rotations)
-            if not rotates or method not in ("", "multi-position", "known-rotation"):  # a move is drawn as a whole
-                label = (
-                    f"{turn.axis} {rate['xyz'.index(turn.axis or 'x')]:.0f} {'deg/s' if physical else record.gyro_unit}"
-                )
-                yield _piece(turn, number, label, NOT_USED if method else "")
+def _label(turn: Turn) -> str:
+    label = str(turn.axis or "")
+    if turn.turn_rate is not None:
+        return f"{label} {turn.turn_rate / RADIAN_PER_DEGREE:.0f} deg/s"
+    return label if turn.angle is None else f"{label} {turn.angle / RADIAN_PER_DEGREE:.0f} deg"
+
+
+def _moves(observed: Observed, method: str) -> Iterator[Piece]:
+    """Yield the moves between stills, with the angle that the gyroscopes measured if they have a physical unit."""
+    full_turns = {(turn.recording, turn.start) for turn in observed.full_turns()}
+    for record, search in observed.turn_searches:
+        sizes = np.linalg.norm(search.rotation_angle, axis=1)
         stuck = stuck_windows([np.asarray(record.gyro)[turn.start : turn.stop] for turn in search.rotations])
-        sizes = np.linalg.norm(search.rotation_angle, axis=1) * factor
-        large_moves = sizes >= (MIN_MOVE_DEG if physical else MIN_MOVE_SHARE * sizes.max(initial=0.0))
-        for k in np.flatnonzero(large_moves):
-            turn, angle = search.rotations[k], search.rotation_angle[k] * factor
-            main_angle = angle[np.argmax(np.abs(angle))]
-            full_turn = turn.axis is not None and abs(abs(main_angle) / 360.0 - 1.0) < FULL_TURN_TOLERANCE
-            used = method == "multi-position" or _is_used(replace(turn, angle=FULL_TURN if full_turn else None), method)
-            label = f"{turn.axis} {main_angle:.0f} deg" if turn.axis and physical else turn.axis or ""
-            yield _piece(turn, number, label, SATURATED if stuck[k] and method else "" if used else NOT_USED)
+        for k in np.flatnonzero(sizes >= MIN_MOVE_SHARE * sizes.max(initial=0.0)):
+            turn, angle = search.rotations[k], search.rotation_angle[k]
+            if turn.axis is not None and is_physical(record.gyro_unit):
+                turn = replace(turn, angle=float(angle[np.argmax(np.abs(angle))]) * si_factor(record.gyro_unit, "rate"))
+            full_turn = method == "known-rotation" and (turn.recording, turn.start) in full_turns
+            used = method in ("", "multi-position") or full_turn
+            yield _piece("turn", turn, _label(turn), SATURATED if stuck[k] and method else "" if used else NOT_USED)

@@ -325,11 +325,6 @@ def force_words(median_g: float, spread_g: float) -> str:
     return _name_unit(median_g, FORCE_UNITS, 1.3)
 
 
-def rate_unit_words(ratio: float) -> str:
-    """Return the mistaken unit that explains this ratio of rates to their true values, or "" without one."""
-    return _name_unit(ratio, RATE_UNITS, 1.1) if np.isfinite(ratio) else ""
-
-
 def _name_unit(ratio: float, units: Mapping[float, str], within: float) -> str:
     size = max(abs(ratio), 1e-12)
     return next((text for unit, text in units.items() if abs(np.log(size / unit)) < np.log(within)), "")

@@ -1,10 +1,9 @@
 """Check that the rests of a session are still, its turns steady, and that rests without a fit agree with gravity.
 
-A still is compared with a device at rest by three figures, which do not depend on the offset of its sensors:
+A still is compared with a device at rest by two figures, which do not depend on the offset of its sensors:
 
-    sway    largest standard deviation of the readings, smoothed over 0.1 s, in a window of 1 s (three axes combined)
-    tilt    angle between the mean specific force of its first and of its last third
-    rate    mean rate reading minus its median over all stills: a slow turn that no window reveals
+    sway    standard deviation of the readings, averaged over 0.1 s (three axes combined)
+    rate    mean rate reading minus its median over all stills: a slow turn that does not sway
 
 If the worst still exceeds the limit of a bench, it becomes a finding. At three times the limit the session is refused. Readings in
 counts have no such limit, so a still is then compared with the other stills. A turn is checked by r, the reading of the turned axis
@@ -31,7 +30,7 @@ from undrift.model import AXES, TriadModel
 from undrift.record import Session, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
-TILT_LIMIT_DEG = 0.5  # a device that settles on a bench or a cushion stays below it
+ACCEL_SWAY = 0.05  # m/s2: a steady tilt by 1 deg from start to end
 REFUSED_RATIO = 3.0  # ratio of a figure to its limit from which the session is refused
 COUNTS_RATIO = 10.0  # a still in counts may spread this many times the median of all stills
 WARMED_K = 10.0  # between stills: offsets may then differ
@@ -81,7 +80,7 @@ def check_stills(session: Session, stills: tuple[Still, ...], *, listed: bool) -
     """Compare every still with a device at rest. Raise if a still is far from rest."""
     figures = [*_rates(session, stills)]
     if listed:
-        figures += [*_sway(session, stills, "gyro"), *_sway(session, stills, "accel"), *_tilts(session, stills)]
+        figures += [*_sway(session, stills, "gyro"), *_sway(session, stills, "accel")]
     faults = [fault for fault in figures if fault[0] > 1.0]
     if not faults:
         return ()
@@ -100,10 +99,11 @@ def _sway(session: Session, stills: tuple[Still, ...], triad: Literal["gyro", "a
     for number, still in enumerate(stills):
         record = session.records[still.recording]
         readings, smooth = getattr(record, triad), max(1, round(SMOOTH_S * record.sample_rate_hz))
-        window = min(segments.sample_count(1.0, record.sample_rate_hz), still.stop - still.start - smooth + 1)
-        if readings is not None and window > 1:
-            spread = segments.sliding_moments(readings[still.start : still.stop], window, smooth)[1]
-            values[number] = np.max(spread[np.isfinite(spread)], initial=0.0)
+        blocks = (still.stop - still.start) // smooth
+        if readings is not None and blocks > 1:
+            means = readings[still.start : still.start + blocks * smooth].reshape(blocks, smooth, 3).mean(axis=1)
+            whole = means[np.isfinite(means).all(axis=1)]
+            values[number] = np.linalg.norm(whole.std(axis=0)) if len(whole) else 0.0
     if not is_physical(unit):  # a reading at rest may toggle between two codes
         step = float(np.nan_to_num(code_steps(session.records, rate=rate)).max())
         limit = max(COUNTS_RATIO * float(np.median(values)), step, 1e-300) if len(stills) > 2 else np.inf
@@ -111,29 +111,9 @@ def _sway(session: Session, stills: tuple[Still, ...], triad: Literal["gyro", "a
         values, unit = values * si_factor(unit, "rate") / RADIAN_PER_DEGREE, "deg/s"
         limit = segments.BENCH_RATE_LIMIT / RADIAN_PER_DEGREE
     else:
-        limit = segments.BENCH_ACCEL_LIMIT / si_factor(unit, "accel")
+        limit = ACCEL_SWAY / si_factor(unit, "accel")
     for number, value in enumerate(values):
-        yield value / limit, number, f"readings that sway by up to {value:.3g} {unit} rms"
-
-
-def _tilts(session: Session, stills: tuple[Still, ...]) -> Iterator[Fault]:
-    def force(still: Still, start: int, stop: int) -> FloatArray:
-        return mean_reading(session.records[still.recording].accel, start, stop)
-
-    centre: FloatArray = np.zeros(3)
-    limit = TILT_LIMIT_DEG
-    if not is_physical(session.records[0].accel_unit):  # counts: about the centre of a sphere through enough rests
-        means = np.array([force(still, still.start, still.stop) for still in stills]).reshape(-1, 3)
-        if len(means) < 6 or not np.isfinite(means).all():
-            return
-        centre, radius = segments.sphere_of(means)
-        limit += 2.0 * float(np.nan_to_num(code_steps(session.records, rate=False)).max()) / radius / RADIAN_PER_DEGREE
-    for number, still in enumerate(stills):
-        third = (still.stop - still.start) // 3
-        first = force(still, still.start, still.start + third) - centre
-        last = force(still, still.stop - third, still.stop) - centre
-        tilt = float(np.arctan2(np.linalg.norm(np.cross(first, last)), first @ last)) / RADIAN_PER_DEGREE
-        yield tilt / limit, number, f"a tilt of {tilt:.3g} deg from its first to its last third"
+        yield value / limit, number, f"readings that sway by {value:.3g} {unit} rms"
 
 
 def _rates(session: Session, stills: tuple[Still, ...]) -> Iterator[Fault]:

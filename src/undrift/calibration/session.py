@@ -9,14 +9,13 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, TypeVar
 
 import numpy as np
 
 from undrift import segments
 from undrift.arrays import FloatArray
 from undrift.calibration.codes import code_steps, code_variance
-from undrift.calibration.plausibility import SCALE_TOLERANCE, check_gravity, rate_unit_words
+from undrift.calibration.plausibility import SCALE_TOLERANCE
 from undrift.calibration.quality import (
     CUT_OFF_SHARE,
     SAME_TEMPERATURE_K,
@@ -30,20 +29,18 @@ from undrift.calibration.quality import (
     whole_readings,
 )
 from undrift.calibration.settings import CalibrateSettings
-from undrift.errors import Implausible, InputError, NotObservable
+from undrift.calibration.triads import check_agreement, check_force
+from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.gls import block_size, noise_of_means, solve
 from undrift.fit.triad import TriadFit
 from undrift.record import FACES, Record, Session, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
-Piece = TypeVar("Piece", Still, Turn)
-
 FULL_TURN = 2.0 * np.pi  # rad
 FULL_TURN_TOLERANCE = 0.1  # relative: a turn this near to a full turn counts as full if no angle is given
 FREE_POSES_SHARE = 0.1  # largest share of free poses among rests on faces
 SAME_POSE = 0.26  # relative to gravity: 15 deg
-FEW_STILLS = 9  # number of stills below which short pauses are reported
 CUT_OFF_S = 0.3  # a recording that turns throughout its last part is cut off
 ROOM_C = 25.0
 
@@ -156,24 +153,6 @@ class Observed:
         free = len(self.stills) - len(self.faced)
         return {still.face for still in self.faced} == set(FACES) and free <= FREE_POSES_SHARE * len(self.stills)
 
-    def with_triad(self, triad: Literal["gyro", "accel"]) -> "Observed":
-        """Return the recordings with a triad, their stills and turns, or the same object if all or none have it."""
-        numbers = [k for k, record in enumerate(self.session.records) if getattr(record, triad) is not None]
-        if len(numbers) in (0, len(self.session.records)):
-            return self
-
-        def renumbered(pieces: Sequence[Piece]) -> tuple[Piece, ...]:
-            return tuple(replace(p, recording=numbers.index(p.recording)) for p in pieces if p.recording in numbers)
-
-        session = replace(
-            self.session,
-            records=tuple(self.session.records[k] for k in numbers),
-            stills=renumbered(self.session.stills),
-            turns=renumbered(self.session.turns),
-        )
-        searches = tuple(self.searches[k] for k in numbers if self.searches)
-        return replace(self, session=session, stills=renumbered(self.stills), searches=searches)
-
     def rest_rate(self, creep: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
         """Return the mean rate reading over all rests and its variance, (3,) each. ``creep`` (P,) is the drift of each rest."""
         records = self.session.records
@@ -217,21 +196,21 @@ class Observed:
     # ---- turns between rests
 
     @cached_property
-    def turn_searches(self) -> tuple[tuple[int, Record, segments.TurnSearch], ...]:
-        """Number of each recording with gyroscopes, the recording, and its detected turns."""
+    def turn_searches(self) -> tuple[tuple[Record, segments.TurnSearch], ...]:
+        """Recordings with gyroscopes, and their detected turns."""
         return tuple(
-            (number, record, segments.find_turns(record, [s for s in self.stills if s.recording == number]))
+            (record, segments.find_turns(record, [s for s in self.stills if s.recording == number]))
             for number, record in enumerate(self.session.records)
             if record.gyro is not None
         )
 
     def plateaus(self) -> tuple[Turn, ...]:
         """Return the steady turns that the recordings contain."""
-        return tuple(turn for _, _, search in self.turn_searches for turn in search.plateaus)
+        return tuple(turn for _, search in self.turn_searches for turn in search.plateaus)
 
     def full_turns(self) -> tuple[Turn, ...]:
         """Return a full turn each about x, y and z between rests, if there are exactly these in a physical unit."""
-        if not all(is_physical(record.gyro_unit) for _, record, _ in self.turn_searches):
+        if not all(is_physical(record.gyro_unit) for record, _ in self.turn_searches):
             return ()
         turns = self.turns_of(FULL_TURN, tolerance=FULL_TURN_TOLERANCE)
         return turns if sorted(turn.axis or "" for turn in turns) == ["x", "y", "z"] else ()
@@ -243,7 +222,7 @@ class Observed:
         """
         candidates: list[tuple[Turn, float]] = []
         full_turns = abs(angle / FULL_TURN - round(angle / FULL_TURN)) < 1e-6
-        for _, record, search in self.turn_searches:
+        for record, search in self.turn_searches:
             factor = si_factor(record.gyro_unit, "rate") if is_physical(record.gyro_unit) else None
             for turn, reading in zip(search.rotations, search.rotation_angle, strict=True):
                 main_angle, returns = reading[np.argmax(np.abs(reading))], self._returns_to_pose(turn)
@@ -277,33 +256,19 @@ class Observed:
         if axes := [axis for axis in ("x", "y", "z") if axis not in {turn.axis for turn in turns}]:
             raise NotObservable(
                 f"turns by {angle_deg:g} deg: expected one or more about x, y and z with a rest before and after, got none about "
-                f"{', '.join(axes)}{self._cause_of_missing_turns(angle_deg)}. Record them, or leave the angle out.",
+                f"{', '.join(axes)}{self._cause_of_missing_turns()}. Record them, or leave the angle out.",
                 count=len(turns),
             )
         return replace(self, session=replace(self.session, turns=turns))
 
-    def _cause_of_missing_turns(self, angle_deg: float) -> str:
-        """Return the cause if turns by a known angle were not found, "" if unknown. Raise if their unit is mistaken."""
-        for number, record, search in self.turn_searches:
+    def _cause_of_missing_turns(self) -> str:
+        """Return the cause if turns by a known angle were not found, "" if unknown. Raise if the columns are clearly wrong."""
+        for record, search in self.turn_searches:
+            for conflict in check_agreement(record):
+                return f": {conflict.values['text']}"
             size, last = np.linalg.norm(np.asarray(record.gyro), axis=1), round(CUT_OFF_S * record.sample_rate_hz)
-            returning = [self._returns_to_pose(turn) is True for turn in search.rotations]
-            if is_physical(record.gyro_unit) and any(returning):
-                read = np.abs(search.rotation_angle[returning]).max(axis=1) * si_factor(record.gyro_unit, "rate")
-                ratio = float(np.median(read)) / (angle_deg * RADIAN_PER_DEGREE)
-                read_as = f"turns back to the same pose read {ratio:.3g} times that angle"
-                if cause := rate_unit_words(ratio):
-                    raise Implausible(
-                        f"gyroscope: recording {number} is declared in {record.gyro_unit}, but {read_as}: {cause}. Correct the "
-                        "unit of the gyroscope columns.",
-                        ratio=ratio,
-                    )
-                if abs(ratio - 1.0) > SCALE_TOLERANCE:
-                    return (
-                        f": {read_as}. The angle, the unit or range of the gyroscope or the sample rate is wrong "
-                        f"({record.sample_rate_hz:.3g} samples a second declared, {ratio * record.sample_rate_hz:.3g} would fit)"
-                    )
             if search.rotations and size[-last:].min() > CUT_OFF_SHARE * size.max():
-                return f": recording {number} still turns at its end, so that its last turn is cut off"
+                return ": a recording still turns at its end, so that its last turn is cut off"
         return ""
 
     def without_saturated_turns(self) -> tuple["Observed", tuple[Finding, ...]]:
@@ -321,7 +286,6 @@ class Observed:
 
 def look(session: Session, settings: CalibrateSettings) -> Observed:
     """Return a session with its stills as given, or detected and labelled, without any check."""
-    session = in_one_unit(session)
     if session.stills:
         return Observed(session=session, settings=settings, stills=session.stills, found=False)
     searches = segments.find_poses(session.records, settings.still)
@@ -331,47 +295,30 @@ def look(session: Session, settings: CalibrateSettings) -> Observed:
 
 def observe(session: Session, settings: CalibrateSettings) -> Observed:
     """Return a session with its stills and turns, as given or detected. Raise if they fail the checks."""
-    check_counted_once(in_one_unit(session))
+    check_alike(session)
+    check_counted_once(session)
+    for record in session.records:
+        check_force(record)
     observed = look(session, settings)
-    session, stills, findings = observed.session, observed.stills, list[Finding]()
-    few = len(stills) < FEW_STILLS and len({still.face for still in stills} - {None}) < len(FACES)
-    for number, (record, search) in enumerate(zip(session.records, observed.searches, strict=False)):
-        # without a rest there is no measure of rest for this device, and the search has reported the reason
-        pauses = segments.left_out(record, search) if few and search.stills else ()
-        pauses = tuple(pause for pause in pauses if pause.why.startswith("too "))
-        first = (
-            f"the first pause left out, from {record.time[pauses[0].start]:.1f} s, is {pauses[0].why}" if pauses else ""
-        )
-        if why := search.reason or first:
-            findings.append(finding("session.no_still", "warn", recording=number, pauses=len(pauses), reason=why))
-    for number, record in enumerate(session.records):
-        rests = [still for still in stills if still.recording == number]
-        if rests and record.accel is not None and is_physical(record.accel_unit):
-            force = segments.still_means(record.accel, rests) * si_factor(record.accel_unit, "accel")
-            check_gravity(force, session.gravity_m_s2)
-    findings += check_stills(session, stills, listed=not observed.found)
-    findings += check_turns(session, stills, settings.settle_s)
+    findings = [
+        finding("session.no_still", "warn", recording=number, reason=search.reason)
+        for number, search in enumerate(observed.searches)
+        if search.reason
+    ]
+    findings += check_stills(session, observed.stills, listed=not observed.found)
+    findings += check_turns(session, observed.stills, settings.settle_s)
     return replace(observed, findings=tuple(findings)).with_turns()
 
 
-def in_one_unit(session: Session) -> Session:
-    """Return the session with each triad in the unit of the first recording that has the triad."""
-    units, records = [], []
+def check_alike(session: Session) -> None:
+    """Raise unless all recordings have the same triads in the same units."""
     for triad in ("gyro", "accel"):
-        having = [record for record in session.records if getattr(record, triad) is not None] or session.records
-        units.append(getattr(having[0], f"{triad}_unit"))
-    gyro, accel = units
-    for number, record in enumerate(session.records):
-        if (record.gyro_unit, record.accel_unit) != (gyro, accel):
-            try:
-                record = replace(record.in_units(gyro, accel), gyro_unit=gyro, accel_unit=accel)
-            except InputError as error:
-                raise InputError(
-                    f"recording {number}: its readings are in {record.gyro_unit} and {record.accel_unit}, but the other recordings "
-                    f"are in {gyro} and {accel}. Give all recordings one unit, or the scale of the columns."
-                ) from error
-        records.append(record)
-    return replace(session, records=tuple(records))
+        units = {getattr(r, f"{triad}_unit") if getattr(r, triad) is not None else "none" for r in session.records}
+        if len(units) > 1:
+            raise InputError(
+                f"{triad}: all recordings of a session need readings in one unit, got {', '.join(sorted(units))}. Map the columns "
+                "of all recordings alike, or calibrate the recordings separately."
+            )
 
 
 def labelled(session: Session, stills: tuple[Still, ...]) -> tuple[Still, ...]:

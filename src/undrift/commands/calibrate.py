@@ -72,7 +72,7 @@ class Calibrated(Result):
 
         if self.seen is None:
             return ()
-        return pieces_of(self.session, self.settings, self.calibration, self.seen)[0]
+        return pieces_of(self.seen, self.calibration)
 
     def summary(self) -> Summary:
         """Return matrices and offsets with their uncertainty, the data used, and the residuals."""
@@ -176,7 +176,7 @@ def calibrate(
             "turn_deg": turn_deg,
             "rates": rates,
         }
-        _check_idle(idle | {"kind": kind})
+        _check_idle(idle | {"kind": kind, "adc": None if adc == "auto" else adc})
     elif magnetometer:
         raise InputError("calibrate: `magnetometer` requires `calibrate_from` motion. Set it, or omit `magnetometer`.")
     settings = CalibrateSettings(latitude_deg=place.latitude_deg, turn_angle_deg=turn_deg, identify_adc=adc == "auto")
@@ -187,7 +187,7 @@ def calibrate(
     if rates is not None:
         session, log = _turns_of_log(session, rates, settings)
     if calibrate_from == "motion":
-        calibration, motion = from_motion(session, identify_adc=adc == "auto", magnetometer=magnetometer)
+        calibration, motion = from_motion(session, magnetometer=magnetometer)
         observed = None
     else:
         (calibration, observed), motion = fit(session, accel=accel, gyro=gyro, mode=mode, settings=settings), None

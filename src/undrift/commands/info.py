@@ -328,7 +328,7 @@ def draw_found(session: "Session", observed: "Observed | None", name: str) -> An
     """Draw a recording or session with its phases."""
     from undrift.calibration.pieces import pieces_of
 
-    pieces, _ = pieces_of(session, observed=observed)
+    pieces = () if observed is None else pieces_of(observed)
     return at("undrift.report.figures:draw_recording")(session.records, pieces, title=f"{name}: found")
 
 

@@ -345,7 +345,7 @@ def _fit(
 
     place: dict[str, Any] = {"gravity_m_s2": gravity_m_s2}
     if session is not None and session.gravity_source != "standard":
-        place = {"gravity_m_s2": session.gravity_m_s2, "gravity_source": session.gravity_source}
+        place = {"gravity_m_s2": session.gravity_m_s2}
     records, references = [record for record, _ in pairs], [reference for _, reference in pairs]
     model = calibrate_to_references(records, references, settings=settings, lag_settings=lag_settings, **place)
     return model if session is None else replace(model, device=session.serial or model.device)

@@ -31,7 +31,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
 from undrift.base.summary import Shown
-from undrift.calibration.session import ROOM_C, in_one_unit
+from undrift.calibration.session import ROOM_C
 from undrift.drift import observe
 from undrift.drift import temperature as thermometer
 from undrift.drift import verdict as judge
@@ -287,7 +287,7 @@ def fit_drift(
 def _check_sessions(
     sessions: Sequence[Session], calibration: Calibration | None, settings: DriftSettings
 ) -> list[Session]:
-    """Return sessions with consistent units. Raise if they belong to different devices."""
+    """Return the sessions. Raise if they belong to different devices."""
     if not sessions:
         raise InputError("drift: no session was given. Name its folder.")
     names = {session.serial or session.records[0].device for session in sessions}
@@ -302,7 +302,7 @@ def _check_sessions(
             f"drift: the lag must be 0 s or more, got {settings.lag_s:g}. Give the lag of the thermometer."
         )
     observe.check_once(sessions)
-    return [in_one_unit(session) for session in sessions]
+    return list(sessions)
 
 
 def _lag_uncertainty(lag: LagFit | None, subtracted_s: float) -> float:

@@ -30,7 +30,7 @@ def trace_of(recording: Path, opening: Opening) -> dict[str, Any]:
     if session is None or session.means:
         return {}
     observed = look(session, CalibrateSettings())
-    record, pieces = observed.session.records[0], pieces_of(observed.session, observed=observed)[0]
+    record, pieces = observed.session.records[0], pieces_of(observed)
     time = record.time - record.time[0]
     trace: dict[str, Any] = {"time": _envelope(time[:, None])[0], "readings": {}, "units": {}, "at_rest": {}}
     for name, quantity, unit, size in _SHOWN:
