@@ -14,7 +14,7 @@ from undrift.calibration.quality import check_stills, check_turns
 from undrift.calibration.session import observe
 from undrift.calibration.settings import CalibrateSettings
 from undrift.errors import Implausible, InputError
-from undrift.record import FACES, Record, Session, Still, Turn
+from undrift.record import FACES, Record, Session, Still
 from undrift.sim.device.presets import random_device
 from undrift.sim.sessions import simulate_session
 from undrift.units import RADIAN_PER_DEGREE
@@ -118,17 +118,6 @@ def test_the_same_recording_twice_is_refused():
     one_line(caught)
     other = replace(session.records[0], gyro=session.records[0].gyro + 1e-4)
     assert len(observe(replace(session, records=(session.records[0], other)), CalibrateSettings()).stills) == 6
-
-
-def test_the_same_still_or_turn_twice_is_refused_and_neighbours_pass():
-    session = faces()
-    again = Still(start=30, stop=HOLD - 10, face="+x")
-    with pytest.raises(InputError, match=r"\[\[still\]\] 7 .*overlaps \[\[still\]\] 1"):
-        observe(replace(session, stills=(*session.stills, again)), CalibrateSettings())
-    turns = tuple(Turn(start=k, stop=k + 50, axis="x", angle=1.0) for k in (0, 100, 101))
-    with pytest.raises(InputError, match=r"\[\[turn\]\] 3 .*overlaps \[\[turn\]\] 2"):
-        observe(replace(session, turns=turns), CalibrateSettings())
-    assert observe(replace(session, turns=turns[:2]), CalibrateSettings()).findings == ()
 
 
 def test_the_ferraris_recording_is_refused_where_a_still_begins_too_early():

@@ -97,13 +97,11 @@ def test_a_real_creep_shows_through_the_noise_and_steps() -> None:
     np.testing.assert_allclose(warmth, true.reshape(12, -1).mean(axis=1), atol=0.125 / 2)
 
 
-def test_a_span_above_the_limit_is_a_finding_with_its_cost() -> None:
+def test_a_span_above_the_limit_is_a_finding() -> None:
     seen = seen_of(np.linspace(24.0, 24.0 + 3.6 * 12 / 11, N))
     (found,) = creep_of(seen, seen.stills, "accel").findings()
     assert found.code == "session.temperature"
     assert found.values["span_k"] == pytest.approx(3.6, rel=1e-3)
-    assert found.values["offset"] == pytest.approx(0.9, rel=1e-3)  # half the span at 0.5 mg/K
-    assert "0.036 %" in found.detail  # of the scale
     wide = replace(seen, session=replace(seen.session, sensitivity=TemperatureSensitivity(span_limit_k=4.0)))
     assert creep_of(wide, seen.stills, "accel").findings() == ()
 

@@ -3,7 +3,7 @@
     accelerometer   six-face         rests on six faces, or on five that are labelled
                     multi-position   nine free poses or more
     gyroscope       rate-table       turns at a known rate about x, y and z
-                    known-rotation   turns by a known angle, or three full turns found between rests
+                    known-rotation   turns by a known angle, given or found between rests
                     multi-position   moves between nine rests or more
                     rest             only the offset, if the readings are in a physical unit
 
@@ -249,7 +249,7 @@ def find_pieces(session: Session, settings: CalibrateSettings) -> tuple[Session,
     """
     observed = _observe_restored(session, settings)[1]
     stills = observed.stills if observed.mostly_faces else tuple(replace(still, face=None) for still in observed.stills)
-    turns = observed.session.turns or observed.full_turns()
+    turns = observed.session.turns
     return replace(session, stills=stills, turns=turns), () if turns else observed.plateaus()
 
 
@@ -325,7 +325,7 @@ def _choose_gyro_fit(observed: Observed, saturated: bool) -> GyroFit:
         return "rate-table"
     if saturated and not turns:
         return "rest"
-    if any(turn.angle is not None for turn in turns) or observed.full_turns():
+    if any(turn.angle is not None for turn in turns):
         return "known-rotation"
     with_force = observed.session.records[0].accel is not None
     return "multi-position" if with_force and len(observed.stills) >= MIN_FREE_POSES else "rest"
@@ -342,7 +342,6 @@ def _check_mode(triad: str, mode: Mode | None, outcome: Outcome, record: str) ->
 def _choices(observed: Observed, accel: str, gyro: str, mode: Mode | None) -> dict[str, object]:
     """Return every setting that a fit used, and the parts of the session that it used."""
     session, settings = observed.session, asdict(observed.settings)
-    turns = session.turns or (observed.full_turns() if gyro == "known-rotation" else ())
     faces = {still.face for still in observed.faced}
     return {
         "accel": accel,
@@ -353,7 +352,7 @@ def _choices(observed: Observed, accel: str, gyro: str, mode: Mode | None) -> di
         **asdict(session.sensitivity),
         "stills": f"{len(observed.stills)} {'found' if observed.found else 'stated'}",
         "faces": ", ".join(face for face in FACES if face in faces) or "none",
-        "turns": f"{len(turns)} {'stated' if session.turns else 'found'}" if turns else "none",
+        "turns": f"{len(session.turns)} stated" if session.turns else "none",
     }
 
 

@@ -442,13 +442,9 @@ def calibrate_turns(observed: Observed, mode: str | None, accel: TriadFit | None
     records, settings = observed.session.records, observed.settings
     turns, findings = tuple(t for t in observed.session.turns if t.angle is not None), list[Finding]()
     if not turns:
-        turns = observed.full_turns()
-        if not turns:
-            raise NotObservable(
-                "expected turns by known angles, got none. Turn the device about x, y and z between rests, and give angle_deg."
-            )
-        turn_names = tuple(f"{t.axis} {(t.angle or 0.0) / RADIAN_PER_DEGREE:+.0f} deg" for t in turns)
-        findings.append(finding("known_rotation.turns_found", "warn", turns=turn_names))
+        raise NotObservable(
+            "expected turns by known angles, got none. Turn the device about x, y and z between rests, and give angle_deg."
+        )
     rests = observed.stills
     if _axes_without_rest(records, rests, turns):
         rests = (*rests, *observed.unused_stills((*rests, *turns)))

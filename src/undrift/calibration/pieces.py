@@ -64,7 +64,6 @@ def _label(turn: Turn) -> str:
 
 def _moves(observed: Observed, method: str) -> Iterator[Piece]:
     """Yield the moves between stills, with the angle that the gyroscopes measured if they have a physical unit."""
-    full_turns = {(turn.recording, turn.start) for turn in observed.full_turns()}
     for record, search in observed.turn_searches:
         sizes = np.linalg.norm(search.rotation_angle, axis=1)
         stuck = stuck_windows([np.asarray(record.gyro)[turn.start : turn.stop] for turn in search.rotations])
@@ -72,6 +71,5 @@ def _moves(observed: Observed, method: str) -> Iterator[Piece]:
             turn, angle = search.rotations[k], search.rotation_angle[k]
             if turn.axis is not None and is_physical(record.gyro_unit):
                 turn = replace(turn, angle=float(angle[np.argmax(np.abs(angle))]) * si_factor(record.gyro_unit, "rate"))
-            full_turn = method == "known-rotation" and (turn.recording, turn.start) in full_turns
-            used = method in ("", "multi-position") or full_turn
+            used = method in ("", "multi-position")
             yield _piece("turn", turn, _label(turn), SATURATED if stuck[k] and method else "" if used else NOT_USED)

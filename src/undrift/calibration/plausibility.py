@@ -56,15 +56,6 @@ def check_axis_order(forward: FloatArray, what: str, *, against: Literal["accele
         )
 
 
-def check_handedness(forward: FloatArray, what: str) -> None:
-    """Raise if a forward matrix (3, 3) turns a right-handed frame into a left-handed frame."""
-    if np.linalg.det(forward) < 0.0:
-        cause = columns_text(nearest_signed_permutation(forward))
-        raise Implausible(
-            f"{what}: its axes form a left-handed triad: {what} {cause}. Correct the labels, or the sign or order of the columns."
-        )
-
-
 def order_text(order: FloatArray) -> str:
     """Return a signed permutation as text: "+y, +x, +z"."""
     axis = np.abs(order).argmax(axis=1)
@@ -289,10 +280,10 @@ def check_own_scale(
 
 
 def check_gyro_scale(scale_factor: FloatArray, unit: str, largest: float, *, rates_given: bool) -> Iterator[Finding]:
-    """Compare the scale factors (3,) of gyroscopes, reading per rad/s, with their unit, or counts with the ranges of devices.
+    """Compare the scale factors (3,) of gyroscopes, reading per rad/s, with their unit.
 
-    Counts cause a warning if no gyroscope has such a small range at 16 bit. Otherwise they cause a note if the given turns
-    are the only source of the scale.
+    Counts, with the largest reading given, have no nominal scale. If only the given turns determine the scale, the finding
+    states the range in deg/s that the scale means for 16 bit.
     """
     if is_physical(unit):
         ratio = scale_factor * si_factor(unit, "rate") - 1.0
@@ -302,17 +293,16 @@ def check_gyro_scale(scale_factor: FloatArray, unit: str, largest: float, *, rat
         yield from above(
             "gyro.scale_factor", abs(ratio[axis]), (SCALE_LIMIT, 2.0 * SCALE_LIMIT), what=what, off_percent=percent
         )
-        return
-    per_dps = float(np.median(scale_factor)) * RADIAN_PER_DEGREE
-    small = 2.0**15 / per_dps < MIN_RANGE_DPS and largest < 2.0**15
-    if small or rates_given:
-        what = f"with {per_dps:.4g} counts per deg/s, readings of 16 bit end at {2.0**15 / per_dps:.4g} deg/s"
-        only = (
+    elif rates_given:
+        per_dps = float(np.median(scale_factor)) * RADIAN_PER_DEGREE
+        range_dps = 2.0**15 / per_dps
+        what = (
             "it depends on the given turns only, and a wrong angle, rate or sample rate changes it: "
-            if rates_given
-            else ""
+            f"with {per_dps:.4g} counts per deg/s, readings of 16 bit end at {range_dps:.4g} deg/s"
         )
-        yield finding("gyro.scale_factor", "warn" if small else "info", what=only + what)
+        yield finding(
+            "gyro.scale_factor", "warn" if range_dps < MIN_RANGE_DPS and largest < 2.0**15 else "info", what=what
+        )
 
 
 def force_words(median_g: float, spread_g: float) -> str:

@@ -14,7 +14,7 @@ minus its offset, smoothed over 0.1 s, relative to the 90 % quantile of abs(r):
 """
 
 from collections.abc import Iterator, Sequence
-from itertools import combinations, pairwise
+from itertools import combinations
 from typing import Literal
 
 import numpy as np
@@ -129,11 +129,8 @@ def _rates(session: Session, stills: tuple[Still, ...]) -> Iterator[Fault]:
             yield rate / segments.BENCH_RATE_LIMIT, number, what
 
 
-SHARED_LIMIT = 0.1  # share of the shorter of two pieces that both may contain
-
-
 def check_counted_once(session: Session) -> None:
-    """Raise if readings would count twice because a recording, still or turn is repeated."""
+    """Raise if readings would count twice because a recording is repeated."""
     triads = [[values for values in (record.gyro, record.accel) if values is not None] for record in session.records]
     for first, second in combinations(range(len(triads)), 2):
         pairs = list(zip(triads[first], triads[second], strict=False))
@@ -141,17 +138,6 @@ def check_counted_once(session: Session) -> None:
             raise InputError(
                 f"recording {second}: it contains the readings of recording {first} again. Remove one of the two."
             )
-    pieces: tuple[tuple[str, tuple[Still | Turn, ...]], ...] = (("still", session.stills), ("turn", session.turns))
-    for what, entries in pieces:
-        order = sorted(range(len(entries)), key=lambda number: (entries[number].recording, entries[number].start))
-        for number, following in pairwise(order):
-            piece, later = entries[number], entries[following]
-            shared = piece.stop - later.start if piece.recording == later.recording else 0
-            if shared > SHARED_LIMIT * min(piece.stop - piece.start, later.stop - later.start):
-                name = piece_name(session, later, following, what=what)
-                raise InputError(
-                    f"{name}: it overlaps [[{what}]] {number + 1}. Remove one of the two or correct its times."
-                )
 
 
 # ---- turns

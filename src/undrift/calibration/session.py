@@ -38,7 +38,6 @@ from undrift.record import FACES, Record, Session, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
 FULL_TURN = 2.0 * np.pi  # rad
-FULL_TURN_TOLERANCE = 0.1  # relative: a turn this near to a full turn counts as full if no angle is given
 FREE_POSES_SHARE = 0.1  # largest share of free poses among rests on faces
 SAME_POSE = 0.26  # relative to gravity: 15 deg
 CUT_OFF_S = 0.3  # a recording that turns throughout its last part is cut off
@@ -208,14 +207,7 @@ class Observed:
         """Return the steady turns that the recordings contain."""
         return tuple(turn for _, search in self.turn_searches for turn in search.plateaus)
 
-    def full_turns(self) -> tuple[Turn, ...]:
-        """Return a full turn each about x, y and z between rests, if there are exactly these in a physical unit."""
-        if not all(is_physical(record.gyro_unit) for record, _ in self.turn_searches):
-            return ()
-        turns = self.turns_of(FULL_TURN, tolerance=FULL_TURN_TOLERANCE)
-        return turns if sorted(turn.axis or "" for turn in turns) == ["x", "y", "z"] else ()
-
-    def turns_of(self, angle: float, tolerance: float = SCALE_TOLERANCE) -> tuple[Turn, ...]:
+    def turns_of(self, angle: float) -> tuple[Turn, ...]:
         """Return the turns between rests by a known angle, rad, with sign and axis from the gyroscope.
 
         In physical units their reading is near the known angle. In counts a full turn must return the device to its pose.
@@ -229,13 +221,15 @@ class Observed:
                 if factor is None:
                     matches = full_turns and returns is True
                 else:  # a move between faces that reads twice as large does not count as a full turn
-                    matches = abs(abs(main_angle) * factor - angle) < tolerance * angle and not (
+                    matches = abs(abs(main_angle) * factor - angle) < SCALE_TOLERANCE * angle and not (
                         full_turns and returns is False
                     )
                 if turn.axis is not None and matches:
                     candidates.append((replace(turn, angle=float(np.copysign(angle, main_angle))), abs(main_angle)))
         most = max((size for _, size in candidates), default=0.0)
-        return tuple(turn for turn, size in candidates if size * (1.0 + tolerance) > most * (1.0 - tolerance))
+        return tuple(
+            turn for turn, size in candidates if size * (1.0 + SCALE_TOLERANCE) > most * (1.0 - SCALE_TOLERANCE)
+        )
 
     def _returns_to_pose(self, turn: Turn) -> bool | None:
         """Return True if gravity reads the same before and after a turn, within about 15 deg, or None if that is unknown."""

@@ -38,7 +38,7 @@ class CalibrateSettings:
     latitude_deg : float or None
         Latitude for the Earth's rate on a rate table, deg. None ignores the Earth's rate.
     turn_angle_deg : float or None
-        Angle of the turns between rests in a session without given turns, deg. None searches for three full turns.
+        Angle of the turns between rests in a session without given turns, deg. None uses no angle.
     window_s : float
         Longest stretch of each face that is averaged, s.
     settle_s : float
@@ -90,7 +90,4 @@ class CalibrateSettings:
         for name, (least, most) in limits.items():
             value = getattr(self, name)
             if value is not None and not least <= value <= most:
-                allowed = (
-                    f"from {least:.2g} to {most:g}" if np.isfinite(most) else "0 or more" if least == 0 else "above 0"
-                )
-                raise InputError(f"calibrate: {name} must be {allowed}, got {value:g}")
+                raise InputError(f"calibrate: {name} must be from {least:.2g} to {most:g}, got {value:g}")

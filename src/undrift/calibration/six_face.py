@@ -28,7 +28,6 @@ from undrift.calibration.plausibility import (
     SCALE_TOLERANCE,
     check_faces,
     check_gravity,
-    check_handedness,
     check_own_scale,
     check_range,
     face_vectors,
@@ -93,7 +92,6 @@ def fit_six_face(poses: FaceMeans, *, gravity: float, mode: SixFaceMode = "affin
         fit = fit_paper(inputs, poses.reading, gls, **names)
     else:
         fit = fit_of(parameters_of(gls), inputs, -gls.residuals.reshape(-1, 3), **names)
-    check_handedness(fit.model.forward_matrix, "accelerometer")
     return SixFaceFit(
         model=fit.model, residuals=fit.residuals, verdict=fit.verdict.also(Verdict.of(*findings)), tilt=tilt
     )

@@ -165,7 +165,6 @@ class Creep:
     scale_per_k: float  # c_s, relative, 1/K
     span_k: float = 0.0  # temperature span of all pieces, K
     limit_k: float = np.inf  # a larger span is a finding, K
-    kind: Kind = "accel"
 
     def columns(self, value: FloatArray, gain: float = 1.0) -> FloatArray:
         """Return C (P, 2) of a sensor, unit of the reading: offset and scale columns, one standard deviation each.
@@ -193,17 +192,11 @@ class Creep:
         return not self.warmth.any()
 
     def findings(self) -> tuple[Finding, ...]:
-        """Return the cost of a span above the limit."""
+        """Return a finding if the span is above the limit."""
         if self.span_k <= self.limit_k:
             return ()
-        accel, span = self.kind == "accel", told_apart(self.span_k, ".1f", self.limit_k)
-        offset = 0.5 * self.span_k * self.offset_per_k / (1e-3 * STANDARD_GRAVITY if accel else RADIAN_PER_DEGREE)
-        triad, unit = ("accelerometer", "mg") if accel else ("gyroscope", "deg/s")
-        what = (
-            f"by {span} K, limit {self.limit_k:g} K. At either end the uncertainty (1 sigma) is {offset:.2g} {unit} for the offset "
-            f"of the {triad} and {50.0 * self.span_k * self.scale_per_k:.2g} % for its scale"
-        )
-        return (finding("session.temperature", "warn", what=what, span_k=self.span_k, offset=offset),)
+        what = f"by {told_apart(self.span_k, '.1f', self.limit_k)} K, limit {self.limit_k:g} K"
+        return (finding("session.temperature", "warn", what=what, span_k=self.span_k),)
 
 
 def creep_of(observed: Observed, pieces: Sequence[Still | Turn], kind: Kind) -> Creep:
@@ -211,7 +204,7 @@ def creep_of(observed: Observed, pieces: Sequence[Still | Turn], kind: Kind) -> 
     prior = observed.session.sensitivity
     session_pieces: tuple[Still | Turn, ...] = (*observed.stills, *observed.session.turns) or tuple(pieces)
     if not session_pieces:
-        return Creep(warmth=np.empty(0), offset_per_k=0.0, scale_per_k=0.0, kind=kind)
+        return Creep(warmth=np.empty(0), offset_per_k=0.0, scale_per_k=0.0)
     all_pieces, count = (*session_pieces, *pieces), len(session_pieces)
     time, temps = middles(observed.session.records, all_pieces), piece_temperatures(observed.session, all_pieces)
     warmth: FloatArray = np.nan_to_num(temps - observed.mean_temperature())
@@ -235,7 +228,6 @@ def creep_of(observed: Observed, pieces: Sequence[Still | Turn], kind: Kind) -> 
         scale_per_k=0.01 * scale,
         span_k=float(np.ptp(warmth[:count])),
         limit_k=prior.span_limit_k,
-        kind=kind,
     )
 
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
-from undrift.calibration.plausibility import check_axis_order, check_handedness
+from undrift.calibration.plausibility import check_axis_order
 from undrift.drift.observe import RateSteps, RestBlocks
 from undrift.drift.offset import StaticFit, TriadDrift, cooling, specific_force, split_by
 from undrift.drift.rates import ScaleFit
@@ -188,7 +188,6 @@ def turns_verdict(scale: ScaleFit | None, device: Calibration) -> Verdict:
     ratios = ", ".join(f"{value:.3g}" for value in np.diag(typical))
     what = "thermal session's turns against the calibration"
     check_axis_order(typical, f"{what} (scale ratios {ratios} on x, y, z)", against="turns")
-    check_handedness(typical, what)
     deviation, allowed = np.zeros(3), np.zeros(3)
     for j in range(3):
         rows = np.flatnonzero(np.isfinite(soaks.forward[:, 0, j]))
