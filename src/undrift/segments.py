@@ -3,13 +3,11 @@
 Ranges are [start, stop). Stillness of a triad at sample k is the sliding standard deviation of its reading y, smoothed over
 ``smooth_s``: d_k^2 = sum over axes of var(y over the window centred at k). Smoothing averages white noise out and keeps the motion
 of a hand or a body. The threshold comes from the data. At rest log d has one narrow peak at the noise floor, motion is decades
-above, and the threshold is the emptiest value between the two. Without such a gap there is no still phase. In a steady turn the
-smoothed rate r minus the offset at rest is far from zero and steady::
+above, and the threshold is the emptiest value between the two. Without such a gap there is no still phase. The threshold is at most
+the limit of a bench, or of a hand if a bench would leave too few poses. In a steady turn the smoothed rate r minus the offset at
+rest is far from zero and steady::
 
     |r| > least_floors * floor        d <= max(steadiness * |r|, 4 floor)
-
-If that search finds too few poses, ``find_poses`` tests windows of 0.25 to 2 s with thresholds of 3 to 64 noise floors, and uses
-the most frequent count of poses. Many windows and thresholds find a pose, but few find a slow moment of a move.
 """
 
 import itertools
@@ -46,6 +44,7 @@ _ALL_NOISE = 1.5  # a floor within this factor of the white noise contains no mo
 _NOISE = 2.5  # white noise in a window spreads by up to this factor over that in the quietest
 _MOST_NOISE = 12.0  # limits (readings with more noise determine nothing)
 _TURNING = 20.0  # a mean reading this many floors away from the quietest windows' is a turn, not an offset
+BENCH_SHARE = 0.8  # of the still time in a hand's limits, from which a bench's limits leave out no pose
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,7 +89,7 @@ class StillThreshold:
     value: float  # largest spread d of a still window, in ``unit``, or NaN without a threshold
     unit: str  # unit of the record's channel
     noise_floor: float  # spread of the quietest windows, in ``unit``
-    # gap (between two peaks), all still, limit (of a bench), floors (a multiple of the noise floor), or none
+    # gap (between two peaks), all still, limit (of a bench or a hand), floors (a multiple of the noise floor), or none
     basis: Literal["gap", "all still", "limit", "floors", "none"]
 
 
@@ -104,9 +103,7 @@ class StillSearch:
     reason: str = ""  # why no still was found, or ""
 
 
-def find_still(
-    record: Record, settings: StillSettings = StillSettings(), *, recording: int = 0, over_noise: bool = False
-) -> StillSearch:
+def find_still(record: Record, settings: StillSettings = StillSettings(), *, recording: int = 0) -> StillSearch:
     """Find the stretches in which the device did not move.
 
     A sample is still if the window centred at it is quiet in every triad and the mean rate equals the mean rate of the quietest
@@ -120,9 +117,6 @@ def find_still(
         Window and thresholds, by default a window of 1 s and a threshold from the data.
     recording : int
         Number of the record in its session, stored in each Still.
-    over_noise : bool
-        If no gap separates rest from motion and the quietest windows contain white noise only, use stretches that vary less
-        than on a bench. A rest of a second determines an offset less well than it seems.
 
     Returns
     -------
@@ -143,14 +137,53 @@ def find_still(
     >>> [(still.start, still.stop) for still in undrift.find_still(record).stills]
     [(0, 446), (1054, 1500)]
     """
-    return _find(record, _moments(record, settings), settings, recording, over_noise=over_noise)
+    return _find(record, settings, recording, BENCH_RATE_LIMIT, BENCH_ACCEL_LIMIT)
+
+
+def find_poses(records: Sequence[Record], settings: StillSettings = StillSettings()) -> tuple[StillSearch, ...]:
+    """Find the stills of recordings that together contain a device in many poses.
+
+    The limits of a pose in the hand apply if the device is still for clearly longer within them than within the limits of a bench.
+    """
+    bench = tuple(find_still(record, settings, recording=number) for number, record in enumerate(records))
+    limits = HAND_RATE_LIMIT, HAND_ACCEL_LIMIT
+    hand = tuple(_find(record, settings, number, *limits) for number, record in enumerate(records))
+    return bench if _still_samples(bench) >= BENCH_SHARE * _still_samples(hand) else hand
+
+
+def _still_samples(searches: Sequence[StillSearch]) -> int:
+    return sum(still.stop - still.start for search in searches for still in search.stills)
+
+
+def _find(
+    record: Record, settings: StillSettings, recording: int, rate_limit: float, accel_limit: float
+) -> StillSearch:
+    triads = _moments(record, settings)
+    quiet = np.ones(len(triads[0].spread), bool)
+    thresholds = [_threshold(triad, settings, triad.limit(rate_limit, accel_limit)) for triad in triads]
+    for triad, threshold in zip(triads, thresholds, strict=True):
+        if threshold.basis != "none":
+            quiet &= triad.spread <= threshold.value
+            if threshold.channel == "gyro":
+                quiet &= ~_turning(triad.mean, triad.spread, threshold)
+    if all(t.basis == "none" for t in thresholds) or any(t.value < t.noise_floor for t in thresholds):
+        quiet[:] = False
+    edge, shortest = triads[0].edge, sample_count(settings.min_duration_s, record.sample_rate_hz)
+    spans = [
+        (first + edge if first else 0, last + edge if last < len(quiet) else len(record))
+        for first, last in runs(quiet).tolist()
+    ]
+    stills = tuple(Still(start=a, stop=b, recording=recording) for a, b in spans if b - a >= shortest)
+    longest = max((stop - start for start, stop in runs(quiet)), default=0) / record.sample_rate_hz
+    reason = "" if stills else _why_none(thresholds, triads, settings, longest)
+    return StillSearch(stills=stills, thresholds=tuple(thresholds), settings=settings, reason=reason)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Moments:
     """Mean and spread of the windows of a triad."""
 
-    is_gyro: bool
+    channel: Literal["gyro", "accel"]
     unit: str
     values: FloatArray  # (N, 3)
     mean: FloatArray  # (M, 3)
@@ -171,7 +204,7 @@ class _Moments:
         _, spread = sliding_moments(steps, min(self.window, len(steps)), 1)
         return float(_floor(spread) / np.sqrt(2.0 * self.smooth))
 
-    @cached_property
+    @property
     def quantisation(self) -> float:
         """Spread of rounding errors after smoothing, from the smallest steps between readings."""
         steps = np.abs(np.diff(self.values, axis=0))
@@ -182,7 +215,7 @@ class _Moments:
         """Return a limit, rad/s or m/s2, in the unit of the readings, with their white noise, or infinity in other units."""
         if not is_physical(self.unit):
             return np.inf
-        limit = rate / si_factor(self.unit, "rate") if self.is_gyro else accel / si_factor(self.unit, "accel")
+        limit = rate / si_factor(self.unit, "rate") if self.channel == "gyro" else accel / si_factor(self.unit, "accel")
         if self.floor <= limit / (2.0 * _NOISE):
             return limit  # white noise cannot exceed it
         white = self.white
@@ -196,7 +229,7 @@ def _floor(spread: FloatArray) -> float:
     return float(np.quantile(finite, FLOOR_QUANTILE)) if len(finite) else np.inf
 
 
-def _moments(record: Record, settings: StillSettings) -> tuple[_Moments, ...]:
+def _moments(record: Record, settings: StillSettings) -> list[_Moments]:
     fs = record.sample_rate_hz
     window, smooth = sample_count(settings.window_s, fs), max(1, round(settings.smooth_s * fs))
     if len(record) < window + smooth:
@@ -205,39 +238,19 @@ def _moments(record: Record, settings: StillSettings) -> tuple[_Moments, ...]:
             "Record for longer, or find still phases with a shorter window_s."
         )
     triads: list[_Moments] = []
-    for is_gyro, values, unit in ((True, record.gyro, record.gyro_unit), (False, record.accel, record.accel_unit)):
-        if values is not None:
-            mean, spread = sliding_moments(values, window, smooth)
-            triads.append(
-                _Moments(
-                    is_gyro=is_gyro, unit=unit, values=values, mean=mean, spread=spread, floor=_floor(spread),
-                    window=window, smooth=smooth,
-                )
-            )  # fmt: skip
-    return tuple(triads)
+    if record.gyro is not None:
+        triads.append(_triad_moments("gyro", record.gyro, record.gyro_unit, window, smooth))
+    if record.accel is not None:
+        triads.append(_triad_moments("accel", record.accel, record.accel_unit, window, smooth))
+    return triads
 
 
-def _find(
-    record: Record, triads: tuple[_Moments, ...], settings: StillSettings, recording: int, *, over_noise: bool = False
-) -> StillSearch:
-    quiet = np.ones(len(triads[0].spread) if triads else 0, bool)
-    thresholds = [_threshold(triad, settings, over_noise=over_noise) for triad in triads]
-    for triad, threshold in zip(triads, thresholds, strict=True):
-        if threshold.basis != "none":
-            quiet &= triad.spread <= threshold.value
-            if triad.is_gyro:
-                quiet &= ~_turning(triad.mean, triad.spread, threshold)
-    if all(t.basis == "none" for t in thresholds) or any(t.value < t.noise_floor for t in thresholds):
-        quiet[:] = False
-    edge, shortest = triads[0].edge if triads else 0, sample_count(settings.min_duration_s, record.sample_rate_hz)
-    spans = [
-        (first + edge if first else 0, last + edge if last < len(quiet) else len(record))
-        for first, last in runs(quiet).tolist()
-    ]
-    stills = tuple(Still(start=a, stop=b, recording=recording) for a, b in spans if b - a >= shortest)
-    longest = max((stop - start for start, stop in runs(quiet)), default=0) / record.sample_rate_hz
-    reason = "" if stills else _why_none(thresholds, triads, settings, longest)
-    return StillSearch(stills=stills, thresholds=tuple(thresholds), settings=settings, reason=reason)
+def _triad_moments(
+    channel: Literal["gyro", "accel"], values: FloatArray, unit: str, window: int, smooth: int
+) -> _Moments:
+    mean, spread = sliding_moments(values, window, smooth)
+    floor, sizes = _floor(spread), {"window": window, "smooth": smooth}
+    return _Moments(channel=channel, unit=unit, values=values, mean=mean, spread=spread, floor=floor, **sizes)
 
 
 def sliding_moments(values: FloatArray, window: int, smooth: int) -> tuple[FloatArray, FloatArray]:
@@ -258,30 +271,23 @@ def sample_count(seconds: float, sample_rate_hz: float) -> int:
     return max(2, round(seconds * sample_rate_hz))
 
 
-def _threshold(triad: _Moments, settings: StillSettings, *, over_noise: bool) -> StillThreshold:
-    threshold = StillThreshold(
-        channel="gyro" if triad.is_gyro else "accel",
-        value=np.nan,
-        unit=triad.unit,
-        noise_floor=triad.floor,
-        basis="none",
-    )
+def _threshold(triad: _Moments, settings: StillSettings, limit: float) -> StillThreshold:
+    none = StillThreshold(channel=triad.channel, value=np.nan, unit=triad.unit, noise_floor=triad.floor, basis="none")
     finite = triad.spread[np.isfinite(triad.spread)]
     if not len(finite):
-        return threshold
+        return none
     if settings.threshold_floors is not None:
         floor = max(triad.floor, triad.quantisation)
         value = min(settings.threshold_floors * floor, triad.limit(HAND_RATE_LIMIT, HAND_ACCEL_LIMIT))
-        return replace(threshold, value=value, noise_floor=floor, basis="floors")
+        return replace(none, value=value, noise_floor=floor, basis="floors")
+    threshold = none
     if (value_at_gap := _gap_above(finite, triad.floor)) is not None:
-        threshold = replace(threshold, value=value_at_gap, basis="gap")
+        threshold = replace(none, value=value_at_gap, basis="gap")
     elif np.quantile(finite, 0.99) <= _PEAK * max(triad.floor, np.finfo(float).tiny) and (
         is_physical(triad.unit) or float(np.median(finite)) <= _MOTION * triad.white
     ):
-        threshold = replace(threshold, value=max(float(finite.max()), _PEAK * triad.floor), basis="all still")
-    limit = triad.limit(BENCH_RATE_LIMIT, BENCH_ACCEL_LIMIT)
-    rests = over_noise and threshold.basis == "none" and triad.floor <= _ALL_NOISE * triad.white
-    return replace(threshold, value=limit, basis="limit") if rests or threshold.value > limit else threshold
+        threshold = replace(none, value=max(float(finite.max()), _PEAK * triad.floor), basis="all still")
+    return replace(none, value=limit, basis="limit") if threshold.value > limit else threshold
 
 
 def _gap_above(spread: FloatArray, floor: float) -> float | None:
@@ -380,7 +386,7 @@ def find_turning(
 
 
 def _why_none(
-    thresholds: list[StillThreshold], triads: tuple[_Moments, ...], settings: StillSettings, longest_s: float
+    thresholds: list[StillThreshold], triads: list[_Moments], settings: StillSettings, longest_s: float
 ) -> str:
     floors = " and ".join(f"{t.channel} {t.noise_floor:.3g} {t.unit}" for t in thresholds)
     over = [f"{t.value:.3g} {t.unit}" for t in thresholds if t.basis == "limit" and t.value < t.noise_floor]
@@ -391,94 +397,11 @@ def _why_none(
         why = f"no gap separates rest from motion, which is too restless: half of the windows vary by more than {usual}"
     else:
         why = f"the longest rest is too short: {longest_s:.2g} s, limit {settings.min_duration_s:g} s"
-    rests = [m.floor < m.limit(BENCH_RATE_LIMIT, BENCH_ACCEL_LIMIT) for m in triads if not m.is_gyro]
-    if rests == [True] and triads[0].unit == "rad/s" and triads[0].floor > BENCH_RATE_LIMIT:
+    gyro, accel = triads[0], triads[-1]
+    accel_rests = accel.channel == "accel" and accel.floor < accel.limit(BENCH_RATE_LIMIT, BENCH_ACCEL_LIMIT)
+    if accel_rests and gyro.unit == "rad/s" and gyro.floor > BENCH_RATE_LIMIT:
         why += " while the accelerometer rests: is the gyroscope in deg/s, not rad/s?"
     return f"no still phase: the quietest {settings.window_s:g} s windows vary by {floors} rms, and {why}"
-
-
-# ---- poses: still phases with the window and threshold that suit the recordings
-
-WINDOWS_S = (2.0, 1.0, 0.5, 0.25)
-FLOORS = (3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0)
-LEAST_POSES = 9  # free poses of a fit of nine parameters
-_SAME = float(np.cos(5.0 * RADIAN_PER_DEGREE))  # neighbouring stills nearer than this are one pose
-_APART = float(np.cos(20.0 * RADIAN_PER_DEGREE))  # poses farther apart give a fit new information
-_SPAN = 0.2  # smallest singular value of their directions, which are not in a plane
-_ALL_STILL = 0.95  # share of still samples from which nothing moves, and no pose can be missing
-_MOST_SAMPLES = 2_000_000  # nobody poses a device in the hand for longer
-
-
-def find_poses(records: Sequence[Record], settings: StillSettings = StillSettings()) -> tuple[StillSearch, ...]:
-    """Find the stills of recordings that together contain a device in many poses.
-
-    The given settings are tested first. If they contain no threshold, and the stills are neither six faces nor nine poses in all
-    directions, windows and multiples of the noise floor are tested. Of the searches with poses in all directions, those with the
-    most frequent count of poses are selected, and of these the search with the fewest interruptions and the lowest threshold.
-    """
-    first = tuple(find_still(record, settings, recording=number) for number, record in enumerate(records))
-    samples = sum(len(record) for record in records)
-    still = sum(still.stop - still.start for search in first for still in search.stills)
-    fixed = settings.threshold_floors is not None or all(record.accel is None for record in records)
-    if (
-        fixed
-        or samples > _MOST_SAMPLES
-        or still > _ALL_STILL * samples
-        or _points_everywhere(_directions(records, first))
-    ):
-        return first
-    tries = [(candidate, _directions(records, candidate)) for candidate in _tries(records, settings)]
-    searches = [(candidate, _count_poses(up)) for candidate, up in tries if _points_everywhere(up)]
-    counts = [poses for _, poses in searches]
-    agreed = max(counts, key=lambda poses: (counts.count(poses), poses), default=0)
-    agreeing = [candidate for candidate, poses in searches if poses == agreed]
-    return min(agreeing, key=lambda candidate: sum(len(search.stills) for search in candidate), default=first)
-
-
-def _tries(records: Sequence[Record], settings: StillSettings) -> Iterator[tuple[StillSearch, ...]]:
-    """Yield the searches with every multiple of the floor, lowest first, and every window, longest first."""
-    windows = []
-    for window_s in WINDOWS_S:
-        smooth_s, shortest_s = min(settings.smooth_s, window_s / 4.0), min(settings.min_duration_s, window_s)
-        trial = replace(settings, window_s=window_s, smooth_s=smooth_s, min_duration_s=shortest_s)
-        if all(record.duration_s > 2.0 * (window_s + smooth_s) for record in records):
-            windows.append((trial, [_moments(record, trial) for record in records]))
-    for floors in FLOORS:
-        for trial, moments in windows:
-            with_threshold = replace(trial, threshold_floors=floors)
-            yield tuple(_find(record, moments[k], with_threshold, k) for k, record in enumerate(records))
-
-
-def _directions(records: Sequence[Record], searches: Sequence[StillSearch]) -> FloatArray:
-    """Return the unit direction of gravity in each still of the records with accelerometers, (P, 3)."""
-    pairs = [(r, search.stills) for r, search in zip(records, searches, strict=True) if r.accel is not None]
-    up = np.concatenate([still_means(np.asarray(record.accel), stills) for record, stills in pairs])
-    if len(up) >= 5 and not all(is_physical(record.accel_unit) for record, _ in pairs):
-        up = up - sphere_of(up)[0]
-    return np.asarray(up / np.maximum(np.linalg.norm(up, axis=1, keepdims=True), np.finfo(float).tiny))
-
-
-def _count_poses(directions: FloatArray) -> int:
-    """Return the number of poses of stills, from their directions (P, 3): neighbours with similar directions are one pose."""
-    count, last = 0, np.zeros(3)
-    for up in directions:
-        if up @ last < _SAME:
-            count, last = count + 1, up
-    return count
-
-
-def _points_everywhere(directions: FloatArray) -> bool:
-    """Return True if stills, from their directions (P, 3), are on all six faces, or in nine poses in all directions."""
-    distinct = list[FloatArray]()
-    for up in directions:
-        if all(up @ other < _APART for other in distinct):
-            distinct.append(up)
-    if len(distinct) < len(FACES):
-        return False
-    if (np.concatenate((directions, -directions), axis=1).max(axis=0) >= np.cos(_FACE_DEG * RADIAN_PER_DEGREE)).all():
-        return True
-    spans = np.linalg.svd(np.array(distinct) - np.mean(distinct, axis=0), compute_uv=False) / np.sqrt(len(distinct))
-    return len(distinct) >= LEAST_POSES and float(spans[-1]) >= _SPAN
 
 
 # ---- faces: the sensor axis that points up, by gravity

@@ -10,7 +10,15 @@ from undrift.calibration.session import observe
 from undrift.calibration.settings import CalibrateSettings
 from undrift.errors import InputError, NotObservable
 from undrift.record import Record, Session
-from undrift.segments import StillSettings, find_poses, find_still
+from undrift.segments import (
+    BENCH_ACCEL_LIMIT,
+    BENCH_RATE_LIMIT,
+    HAND_ACCEL_LIMIT,
+    HAND_RATE_LIMIT,
+    StillSettings,
+    find_poses,
+    find_still,
+)
 
 # Postural tremor of a hand with a phone: about 1 deg/s and 0.05 m/s2; a strong one is four times that.
 TREMORS = {
@@ -48,9 +56,9 @@ def test_ten_poses_in_a_hand_are_found_at_every_tremor(level, sample_rate_hz):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("clock", [0.25, 0.5, 2.0, 4.0])
+@pytest.mark.parametrize("clock", [0.5, 2.0])
 def test_a_wrong_sample_rate_does_not_change_the_poses(clock):
-    """The clock runs ``clock`` times as fast: 400 to 25 samples per stated second."""
+    """The clock runs ``clock`` times as fast: 200 or 50 samples per stated second."""
     for level in ("supported", "medium"):
         record, spans = hand_held_log(np.random.default_rng(3), TREMORS[level], poses=20, clock=clock)
         found, elsewhere = found_again(record, spans)
@@ -84,10 +92,12 @@ def test_stills_that_a_caller_describes_are_searched_as_described():
 
 
 @pytest.mark.slow
-def test_what_is_adapted_says_so():
+def test_poses_in_a_hand_are_found_above_the_limits_of_a_bench():
     record, _ = hand_held_log(np.random.default_rng(0), TREMORS["strong"])
     (found,) = find_poses((record,))
-    assert {t.basis for t in found.thresholds} == {"floors"}
+    rate, force = found.thresholds
+    assert BENCH_RATE_LIMIT < rate.value <= HAND_RATE_LIMIT
+    assert BENCH_ACCEL_LIMIT < force.value <= HAND_ACCEL_LIMIT
 
 
 def test_the_reason_is_the_true_one_with_numbers():

@@ -255,7 +255,7 @@ def _parts(records: Sequence[Record], field_size: float | None) -> list[_Part]:
     parts = list[_Part]()
     for number, record in enumerate(records):
         gyro, accel = np.asarray(record.gyro), np.asarray(record.accel)
-        stills = find_still(record).stills or find_still(record, over_noise=True).stills
+        stills = find_still(record).stills
         moving, rest, rest_spread = np.ones(len(record)), None, np.zeros(3)
         for still in stills:
             moving[still.start : still.stop] = 0.0
