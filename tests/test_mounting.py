@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from testkit.data import show
-from testkit.walking import misplaced, repeat, walk
+from testkit.walking import bow, misplaced, walk
 from undrift.errors import InputError
 from undrift.frames import quaternion_product, rotation
 from undrift.model import BodyMounting
@@ -21,7 +21,7 @@ def drawn(seed, place, movement="walk"):
     """Return the recording of a person whose device is 20 deg off some half-turn, and R_ab."""
     rng = np.random.default_rng(seed)
     q_ab = misplaced(rng, 20.0, HALF_TURNS[rng.integers(4)])
-    how = walk(rng, place, q_ab=q_ab) if movement == "walk" else repeat(rng, place, movement=movement, q_ab=q_ab)
+    how = walk(rng, place, q_ab=q_ab) if movement == "walk" else bow(rng, q_ab=q_ab)
     return how, rotation(q_ab).as_matrix()
 
 
@@ -57,10 +57,7 @@ def test_posture_and_walking_show_a_device_that_is_20_deg_off(place):
 
 @pytest.mark.parametrize(
     ("place", "movement"),
-    [
-        *((place, "walk") for place in ("thigh", "foot", "wrist")),
-        *(("lower-back", "bow"), ("thigh", "squat"), ("shank", "squat"), ("wrist", "raise")),
-    ],
+    [("thigh", "walk"), ("foot", "walk"), ("wrist", "walk"), ("lower-back", "bow")],
 )
 def test_every_place_and_movement_shows_forward(place, movement):
     error, stated = errors(place, range(2000, 2008), movement)
@@ -95,17 +92,11 @@ def test_a_device_that_slipped_between_recordings_is_less_sure():
 
 def test_a_named_posture_is_taken_and_a_movement_must_move_the_segment():
     record, matrix = drawn(6, "lower-back")
-    found = find_mounting([record], "lower-back", posture_s=(0.2, 3.5))
+    found = find_mounting([record], "lower-back", stance_s=(0.2, 3.5))
     assert "0.2 to 3.5 s" in found.basis[0]
     assert np.degrees(np.linalg.norm(off(found.mounting, matrix))) < 4.0
-    with pytest.raises(InputError, match="Choose walk or raise"):
+    with pytest.raises(InputError, match="Choose walk"):
         find_mounting([record], "foot", movement="bow")
-
-
-def test_sitting_is_less_sure_than_standing():
-    record, _ = drawn(7, "lower-back")
-    sitting, standing = (find_mounting([record], "lower-back", posture=one).mounting for one in ("sitting", "standing"))
-    assert sitting.covariance[0, 0] > 9.0 * standing.covariance[0, 0]
 
 
 def test_a_mounting_is_a_rotation_and_gives_the_orientation_of_the_segment():

@@ -2,26 +2,25 @@
 
 Axes a are x forward, y left, z up, when the wearer stands upright. ``R_ab`` maps b to a. Its rows are forward, left and up, in b.
 
-``up``       the vertical in b during the longest upright posture
-``forward``  from walks between postures: the horizontal acceleration, integrated from rest to rest, is the velocity, and its mean
-             points forward. Or from a named movement: the vertical in b leaves ``up`` towards the back of a segment that leans
-             forward.
+``up``       the vertical in b while the wearer stands for longest
+``forward``  from walks between stances: the horizontal acceleration, integrated from rest to rest, is the velocity, and its mean
+             points forward. Or from bows of the trunk: the vertical in b leaves ``up`` towards the back.
 
-The scatter of the pieces (walks, repetitions) determines the uncertainty of their mean. An error that all pieces share, because
-human movement varies, is added (``STANCE``, ``WALKS``, ``REPETITIONS``).
+The scatter of the pieces (walks, bows) determines the uncertainty of their mean. An error that all pieces share, because human
+movement varies, is added (``STANCE``, ``WALKS``, ``BOWS``).
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, runs
 from undrift.calibration.triads import check_triads
 from undrift.errors import Implausible, InputError
-from undrift.findings import Verdict, finding
+from undrift.findings import Finding, Verdict, finding
 from undrift.frames import integrate_strapdown, quaternion_conjugate, rotate
 from undrift.model import AXES, BodyMounting
 from undrift.orientation import check_whole, filtered, initial_tilt, shortest_rotation_up
@@ -30,29 +29,31 @@ from undrift.segments import unpadded
 from undrift.units import RADIAN_PER_DEGREE as DEG
 
 Worn = Literal["lower-back", "thigh", "shank", "foot", "wrist"]
-Posture = Literal["standing", "sitting"]
-Movement = Literal["walk", "bow", "squat", "raise"]
+Movement = Literal["walk", "bow"]
 Span = tuple[float, float]
 
 
-# way of the upper end of the segment, forward (1) or back (-1): a bow of the trunk, a squat, a raised straight limb
-LEANS: dict[Movement, dict[Worn, float]] = {
-    "bow": {"lower-back": 1.0},
-    "squat": {"lower-back": 1.0, "thigh": -1.0, "shank": 1.0},
-    "raise": {"thigh": -1.0, "shank": -1.0, "foot": -1.0, "wrist": -1.0},
-}
-# standard uncertainty of an upright posture about x and y, rad: sway of older people in quiet stance (sitting assumed)
-STANCE = {"standing": (0.6 * DEG, 0.9 * DEG), "sitting": (3.0 * DEG, 3.0 * DEG)}
-# usual scatter of the pieces and their common error, rad, of simulated people, rounded up, and the fewest pieces
-WALKS, REPETITIONS = (1.5 * DEG, 0.7 * DEG, 1), (3.0 * DEG, 2.0 * DEG, 2)
+class Cue(NamedTuple):
+    """Pieces of a movement, of simulated people, rounded up."""
+
+    scatter: float  # usual scatter of the pieces, rad
+    shared: float  # error that all pieces share, rad
+    fewest: int  # number of pieces without which forward is not determined
+
+
+STANCE = (
+    0.6 * DEG,
+    0.9 * DEG,
+)  # standard uncertainty of upright about x and y, rad: sway of older people in quiet stance
+WALKS, BOWS = Cue(1.5 * DEG, 0.7 * DEG, 1), Cue(3.0 * DEG, 2.0 * DEG, 2)
 WARN = 5.0 * DEG  # uncertainty of the mounting
 OFFSET = 0.5 * DEG  # rad/s, that gyroscopes have before the filter
-POSTURE_S, EDGE_S = 3.0, 0.3  # shortest posture, and its ends, in which the body still moves, s
+STANCE_S, EDGE_S = 3.0, 0.3  # shortest stance, and its ends, in which the body still moves, s
 WALK_S, START_S = 15.0, 1.2  # longest walk that is integrated, and its first and last part, which may turn, s
 BAND_HZ, SLOW_HZ = (0.7, 5.0), 0.5  # frequencies of steps, and of their size
-QUIET, STEPS = 0.3, 0.6  # rms of the vertical acceleration over two seconds in postures and in steps, m/s2
-SWAY, TURN = 4.0 * DEG, 20.0 * DEG  # rate of the vertical in a posture, and about it in a straight walk, rad/s
-LEAN, UPRIGHT = 10.0 * DEG, 20.0 * DEG  # smallest lean of a movement, and largest tilt of an upright posture
+QUIET, STEPS = 0.3, 0.6  # rms of the vertical acceleration over two seconds in stance and in steps, m/s2
+SWAY, TURN = 4.0 * DEG, 20.0 * DEG  # rate of the vertical in stance, and about it in a straight walk, rad/s
+LEAN, UPRIGHT = 10.0 * DEG, 20.0 * DEG  # smallest lean of a bow, and largest tilt of an upright stance
 CLEAR = 4.0  # a direction in its uncertainties
 LEAST_HZ, MOST_HZ = 15.0, 5000.0  # limits of the sample rate (steps come twice a second)
 USUAL_PIECES = 4  # number of pieces that the usual scatter counts for
@@ -69,7 +70,7 @@ class MountFit:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Track:
-    """Postures and steps of a recording, N samples in b."""
+    """Stances and steps of a recording, N samples in b."""
 
     record: Record  # in SI units
     gyro: FloatArray  # (N, 3), rad/s
@@ -79,8 +80,51 @@ class _Track:
     walk: BoolArray  # (N,), straight
 
 
+def find_mounting(
+    records: Sequence[Record], place: Worn, movement: Movement = "walk", stance_s: Span | None = None
+) -> MountFit:
+    """Determine the mounting of a device from recordings without a change of mounting. ``stance_s`` is in the first."""
+    if movement == "bow" and place != "lower-back":
+        raise InputError(f"mount: a bow does not move the {place} as it moves the trunk. Choose walk.")
+    tracks = [_track(record) for record in records]
+    stance = _up(tracks, stance_s)
+    if stance is None:
+        return _undetermined("Up", f"nobody stands still and upright for {STANCE_S:g} s", ())
+    up, variances, basis = stance
+    pieces, cue = _pieces(tracks, up, movement)
+    direction = _direction(pieces, up, cue.scatter) if len(pieces) >= cue.fewest else None
+    if direction is None:
+        why = f"{movement} at the {place}: {len(pieces)} pieces were found, which have no common direction"
+        return _undetermined("Forward", why, (basis,))
+    forward, scatter = direction
+    way = f"forward by {len(pieces)} {'walks between stances' if movement == 'walk' else 'bows'}"
+    worn = BodyMounting(
+        place=place,
+        matrix=np.stack((forward, np.cross(up, forward), up)),
+        covariance=np.diag((*variances, scatter**2 + cue.shared**2)),
+        basis=f"{basis}; {way}",
+    )
+    uncertain = finding("mount.uncertain", "warn", degrees=worn.uncertainty / DEG, limit=WARN / DEG)
+    verdict = Verdict.of(_look(forward, up), *((uncertain,) if worn.uncertainty > WARN else ()))
+    return MountFit(mounting=worn, basis=(basis, way), verdict=verdict)
+
+
+def _undetermined(direction: str, why: str, basis: tuple[str, ...]) -> MountFit:
+    missing = finding("mount.not_determined", "fail", direction=direction, why=why)
+    return MountFit(mounting=None, basis=basis, verdict=Verdict.of(missing))
+
+
+def _look(forward: FloatArray, up: FloatArray) -> Finding:
+    """Return the finding that asks for a look at the device: a wrong sign of the accelerometers has no other effect."""
+    ahead, upward = (
+        f"{'+-'[int(side[k] < 0.0)]}{AXES[k]}" for side in (forward, up) for k in [int(np.abs(side).argmax())]
+    )
+    why = "if they do not, accelerometer columns are exchanged or have the opposite sign, which a walk cannot determine"
+    return finding("mount.look", "info", what=f"its side {ahead} points forward, its side {upward} up", why=why)
+
+
 def _track(record: Record) -> _Track:
-    """Find postures and steps of a recording with a filter that tracks the inclination."""
+    """Find stances and steps of a recording with a filter that tracks the inclination."""
     from scipy.signal import butter, sosfiltfilt
 
     check_whole(record := unpadded(record.in_si()))
@@ -105,91 +149,36 @@ def _track(record: Record) -> _Track:
     return _Track(record=record, gyro=gyro, force=force, up=up, quiet=quiet, walk=walk)
 
 
-def find_mounting(
-    records: Sequence[Record],
-    place: Worn,
-    posture: Posture = "standing",
-    movement: Movement = "walk",
-    posture_s: Span | None = None,
-) -> MountFit:
-    """Determine the mounting of a device from recordings without a change of mounting. ``posture_s`` is in the first."""
-    if movement != "walk" and place not in LEANS[movement]:
-        allowed = " or ".join(("walk", *(name for name in LEANS if place in LEANS[name])))
-        raise InputError(f"mount: {movement} does not move the {place}. Choose {allowed}.")
-    tracks = [_track(record) for record in records]
-    stance = _up(tracks, posture, posture_s)
-    if stance is None:
-        why = f"no upright posture of {POSTURE_S:g} s"
-        missing = finding("mount.not_determined", "fail", direction="Up", why=why)
-        return MountFit(mounting=None, basis=(), verdict=Verdict.of(missing))
-    up, variances, basis = stance
-    pieces, (spread, shared, fewest) = _pieces(tracks, up, place, movement)
-    direction = _direction(pieces, up, spread) if len(pieces) >= fewest else None
-    if direction is None:
-        why = f"{movement} at the {place}: {len(pieces)} pieces were found, which have no common direction"
-        missing = finding("mount.not_determined", "fail", direction="Forward", why=why)
-        return MountFit(mounting=None, basis=(basis,), verdict=Verdict.of(missing))
-    forward, scatter = direction
-    way = f"forward by {len(pieces)} {'walks between postures' if movement == 'walk' else 'repetitions'}"
-    worn = BodyMounting(
-        place=place,
-        matrix=np.stack((forward, np.cross(up, forward), up)),
-        covariance=np.diag((*variances, scatter**2 + shared**2)),
-        basis=f"{basis}; {way}",
-    )
-    # a wrong sign of the accelerometers has no other effect
-    ahead, upward = (
-        f"{'+-'[int(side[k] < 0.0)]}{AXES[k]}" for side in (forward, up) for k in [int(np.abs(side).argmax())]
-    )
-    look = finding(
-        "mount.look",
-        "info",
-        what=f"its side {ahead} points forward, its side {upward} up",
-        why="if they do not, accelerometer columns are exchanged or have the opposite sign, which a walk cannot determine",
-    )
-    uncertain = finding("mount.uncertain", "warn", degrees=worn.uncertainty / DEG, limit=WARN / DEG)
-    verdict = Verdict.of(look, *((uncertain,) if worn.uncertainty > WARN else ()))
-    return MountFit(mounting=worn, basis=(basis, way), verdict=verdict)
-
-
-def _up(tracks: Sequence[_Track], posture: Posture, posture_s: Span | None) -> tuple[FloatArray, Span, str] | None:
-    """Return the vertical of the upright segment in b, the variances about its x and y, and its posture, or None without one."""
+def _up(tracks: Sequence[_Track], stance_s: Span | None) -> tuple[FloatArray, Span, str] | None:
+    """Return the vertical of the upright segment in b, the variances about its x and y, and its stance, or None without one."""
     steps = np.concatenate([track.up[track.walk] for track in tracks])
     walked_s = sum(float(track.walk.sum()) / track.record.sample_rate_hz for track in tracks)
-    mean = steps.mean(axis=0) / np.linalg.norm(steps.mean(axis=0)) if walked_s > POSTURE_S else None
+    mean = steps.mean(axis=0) / np.linalg.norm(steps.mean(axis=0)) if walked_s > STANCE_S else None
     upright = []
-    for track in tracks[:1] if posture_s else tracks:
-        time, least = track.record.time, POSTURE_S * track.record.sample_rate_hz
-        spans = (
-            [time.searchsorted(posture_s)]
-            if posture_s
-            else [run for run in runs(track.quiet) if run[1] - run[0] >= least]
-        )
-        for first, last in spans:
+    for track in tracks[:1] if stance_s else tracks:
+        time, least = track.record.time, STANCE_S * track.record.sample_rate_hz
+        quiet = [run for run in runs(track.quiet) if run[1] - run[0] >= least]
+        for first, last in [time.searchsorted(stance_s)] if stance_s else quiet:
             still = Still(start=int(first), stop=max(int(last), int(first) + 1))
             tilt, (start, stop) = initial_tilt(track.record, still), time[[still.start, still.stop - 1]].tolist()
             up = tilt.specific_force / np.linalg.norm(tilt.specific_force)
-            if mean is None or posture_s or posture == "sitting" or up @ mean > np.cos(UPRIGHT):
+            if mean is None or stance_s or up @ mean > np.cos(UPRIGHT):
                 upright.append((stop - start, start, up, tilt.inclination_uncertainty**2 / 2.0))
     if not upright:
         return None
     length, start, up, variance = max(upright, key=lambda stretch: stretch[0])
-    x, y = (variance + sway**2 for sway in STANCE[posture])
-    return up, (x, y), f"up by {posture} from {start:.1f} to {start + length:.1f} s"
+    x, y = (variance + sway**2 for sway in STANCE)
+    return up, (x, y), f"up by standing from {start:.1f} to {start + length:.1f} s"
 
 
-def _pieces(
-    tracks: Sequence[_Track], up: FloatArray, place: Worn, movement: Movement
-) -> tuple[FloatArray, tuple[float, float, int]]:
-    """Return horizontal vectors (K, 3) in b that point forward on average, with usual scatter, common error and fewest number."""
-    if movement == "walk":
-        ways = [way for track in tracks for way in _bouts(track)]
-    else:
-        least = 0.3 * tracks[0].record.sample_rate_hz
-        leans = [(track, a, b) for track in tracks for a, b in runs(track.up @ up < np.cos(LEAN)) if b - a > least]
-        ways = [-LEANS[movement][place] * track.up[a:b].mean(axis=0) for track, a, b in leans]
+def _pieces(tracks: Sequence[_Track], up: FloatArray, movement: Movement) -> tuple[FloatArray, Cue]:
+    """Return horizontal vectors (K, 3) in b that point forward on average, and their properties."""
     level = np.eye(3) - np.outer(up, up)
-    return np.reshape(ways, (-1, 3)) @ level, WALKS if movement == "walk" else REPETITIONS
+    if movement == "walk":
+        return np.reshape([way for track in tracks for way in _bouts(track)], (-1, 3)) @ level, WALKS
+    least = 0.3 * tracks[0].record.sample_rate_hz
+    leans = [(track, a, b) for track in tracks for a, b in runs(track.up @ up < np.cos(LEAN)) if b - a > least]
+    return np.reshape([-track.up[a:b].mean(axis=0) for track, a, b in leans], (-1, 3)) @ level, BOWS
 
 
 def _direction(pieces: FloatArray, up: FloatArray, spread: float) -> tuple[FloatArray, float] | None:
@@ -210,7 +199,7 @@ def _direction(pieces: FloatArray, up: FloatArray, spread: float) -> tuple[Float
 
 
 def _bouts(track: _Track) -> list[FloatArray]:
-    """Return the mean velocity of each walk between two postures, (3,) in b, m/s."""
+    """Return the mean velocity of each walk between two stances, (3,) in b, m/s."""
     rate, edge, start = (round(track.record.sample_rate_hz * span_s) for span_s in (1.0, EDGE_S, START_S))
     rests = [(int(a) + edge, int(b) - edge) for a, b in runs(track.quiet) if b - a > rate]
     if not rests:

@@ -89,13 +89,12 @@ def walk(rng, place="lower-back", *, stand_s=4.0, walk_s=9.0, bouts=4, q_ab=(1.0
     return _record(t, (roll, pitch, yaw), position, rng, q_ab, fine, rate)
 
 
-def repeat(rng, place="lower-back", *, movement="bow", times=4, q_ab=(1.0, 0.0, 0.0, 0.0), rate=100.0):
-    """Return a recording of somebody who stands still and then bows, squats or raises a limb some times."""
+def bow(rng, *, times=4, q_ab=(1.0, 0.0, 0.0, 0.0), rate=100.0):
+    """Return a recording of somebody who stands still and then bows some times."""
     fine = 10
     t = np.arange(round((6.0 + 4.0 * times + 3.0) * rate) * fine) / (rate * fine)
-    way = {"bow": 1.0, "squat": {"thigh": -1.0}.get(place, 1.0), "raise": -1.0}[movement]
     gone = sum(_smooth_rise(t, 6.0 + 4.0 * k, 1.3) - _smooth_rise(t, 7.8 + 4.0 * k, 1.3) for k in range(times))
-    pitch = way * gone * rng.uniform(35.0, 60.0) * DEGREE + _sway(rng, t, 0.4 * DEGREE)
+    pitch = gone * rng.uniform(35.0, 60.0) * DEGREE + _sway(rng, t, 0.4 * DEGREE)
     roll = gone * rng.normal(0.0, 2.0) * DEGREE + _sway(rng, t, 0.3 * DEGREE)
     position = 0.3 * np.stack((np.sin(pitch), np.sin(roll), np.cos(pitch)), axis=1)
     return _record(t, (roll, pitch, gone * rng.normal(0.0, 2.0) * DEGREE), position, rng, q_ab, fine, rate)

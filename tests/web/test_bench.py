@@ -120,7 +120,7 @@ def test_a_mounting_that_is_found_is_kept_in_the_calibration_or_named_by_sides(b
     held, one = bench.visit.recordings, StoredFile(path=bench.folder / "uploads" / "walk.csv")
     with pytest.raises(InputError, match="choose the body segment"):
         asyncio.run(held.mount(one))
-    held.form.worn, held.form.movement = "shank", "squat"
+    held.form.worn, held.form.movement = "lower-back", "bow"
     found = {"statement": "Shank: side -z", "sides": {"forward": "-z", "up": "+x"}, "output": None}
     bench.answer = CommandOutcome(code=0, answer=found)
     asyncio.run(held.mount(one))
@@ -131,7 +131,7 @@ def test_a_mounting_that_is_found_is_kept_in_the_calibration_or_named_by_sides(b
     bench.answer = CommandOutcome(code=0, answer=found | {"output": "uploads/walk-worn.json"})
     asyncio.run(held.mount(one))
     words = " ".join(bench.calls[-1])
-    assert "--worn shank --posture standing --movement squat --calibration" in words
+    assert "--worn lower-back --movement bow --calibration" in words
     assert held.visit.calibration == one.path.with_name("walk-worn.json")
     asyncio.run(held.run(one, "orient"))
     assert "--forward" not in bench.calls[-1]

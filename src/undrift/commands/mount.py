@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from undrift.mounting import MountFit
 
 Worn: TypeAlias = Literal["lower-back", "thigh", "shank", "foot", "wrist"]
-Posture: TypeAlias = Literal["standing", "sitting"]
-Movement: TypeAlias = Literal["walk", "bow", "squat", "raise"]
+Movement: TypeAlias = Literal["walk", "bow"]
 NOT_WRITTEN = "No mounting was written: add a calibration, and -o calibration.json to keep it there"
 
 
@@ -26,7 +25,6 @@ NOT_WRITTEN = "No mounting was written: add a calibration, and -o calibration.js
 def mount(
     *records: Files,
     worn: Worn,
-    posture: Posture = "standing",
     movement: Movement = "walk",
     calibration: Path | None = None,
     named: NamedRest = NamedRest(),
@@ -42,11 +40,8 @@ def mount(
         times.
     worn : str
         Body segment on which the device is worn.
-    posture : str
-        Posture of the wearer while still: standing, or sitting upright.
     movement : str
-        Movement that determines forward: walk, bow (the trunk leans forward), squat, or raise (the straight limb moves
-        forward).
+        Movement that determines forward: walk, or bow (the trunk leans forward).
     calibration : Path or None
         calibration.json of the device, for a raw recording, and to keep the mounting in.
     output : Path or None
@@ -68,7 +63,7 @@ def mount(
             readings.append(corrected(opening.like(model, calibration).read(path), path, model, TableUse())[0])
     still = named_rest(readings[0], named.stretch)
     span = None if still is None else (float(readings[0].time[still.start]), float(readings[0].time[still.stop - 1]))
-    return _mount_summary(find_mounting(readings, worn, posture, movement, span), records, model, output)
+    return _mount_summary(find_mounting(readings, worn, movement, span), records, model, output)
 
 
 def _mount_summary(

@@ -19,7 +19,7 @@ from undrift.base.options import asked, stated
 from undrift.commands.bench.library import StoredFile
 from undrift.commands.bench.trace import trace_of
 from undrift.commands.files import Opening
-from undrift.commands.mount import Movement, Posture, Worn, mounting_of
+from undrift.commands.mount import Movement, Worn, mounting_of
 from undrift.errors import InputError, UndriftError
 from undrift.files import write_whole
 from undrift.record import FACES
@@ -49,7 +49,6 @@ class RecordingForm:
     """Input for a recording. "" is not chosen, so that each command uses its default offset."""
 
     worn: str = asked("--worn", options=("", *get_args(Worn)))
-    posture: str = asked("--posture", get_args(Posture)[0], options=get_args(Posture))
     movement: str = asked("--movement", get_args(Movement)[0], options=get_args(Movement))
     forward: str = asked("--forward", options=("", *FACES))
     up: str = asked("--up", options=("", *FACES))
@@ -211,7 +210,7 @@ class Recordings:
         if not form.worn:
             raise InputError("mounting: choose the body segment on which the device is worn.")
         copy = stored.path.parent / f"{safe_name(stored.path.name.split('.')[0], 'recording')}-worn.json"
-        options = stated(worn=form.worn, posture=form.posture, movement=form.movement, calibration=calibration)
+        options = stated(worn=form.worn, movement=form.movement, calibration=calibration)
         options = *stored.options(), *options, *stated(output=calibration and copy)
         outcome = await self.bench.command("mount", stored.path, *options)
         self._take(stored, "mount", outcome, [copy] if outcome.answer.get("output") else [])
@@ -505,7 +504,7 @@ def _wearing_form(visit: "Visit", stored: StoredFile) -> None:
             if not mounting:
                 find.props("open")
             parts.says("walk")
-            parts.form(form, "worn", "posture", "movement")
+            parts.form(form, "worn", "movement")
             parts.button("Find the mounting", lambda: recordings.mount(stored))
         with parts.folded("Name the sides of the device") as sides:
             if form.forward or form.up:
