@@ -28,7 +28,7 @@ from benchmarks.broad_files import read_broad
 from undrift.arrays import FloatArray
 from undrift.calibration.codes import device_adc
 from undrift.calibration.reference import ReferenceFit, fit_reference
-from undrift.correction.motion import find_motion_offset
+from undrift.correction.motion import fit_motion
 from undrift.correction.rest import find_rest_offset
 from undrift.drift.observe import nominal_triad
 from undrift.model import AdcModel, Calibration, TriadModel
@@ -315,9 +315,9 @@ def print_offsets() -> None:
     for number in (n for numbers in DEVICES.values() for n in numbers):
         record = trial(number)[0]
         for name, rest in (("with its rest", find_rest_offset(record)), ("without", None)):
-            find_motion_offset(record, rest)  # the compiler's time is not the estimator's
+            fit_motion(record, rest)  # the compiler's time is not the estimator's
             start = perf_counter()
-            motion_offset = find_motion_offset(record, rest)
+            motion_offset = fit_motion(record, rest).offset
             took, sigma = perf_counter() - start, np.sqrt(np.diag(motion_offset.covariance[0]))
             print(
                 f"  {number}, {record.duration_s:.0f} s, {name:13} {took:5.2f} s   "

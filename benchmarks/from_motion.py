@@ -26,7 +26,7 @@ from undrift.calibration.codes import device_adc
 from undrift.calibration.in_motion import fit_in_motion
 from undrift.calibration.reference import leave_one_out
 from undrift.correction.correct import correct
-from undrift.correction.motion import find_motion_offset
+from undrift.correction.motion import fit_motion
 from undrift.correction.rest import find_rest_offset
 from undrift.frames import quaternion_conjugate, quaternion_product
 from undrift.model import Calibration
@@ -336,10 +336,10 @@ def print_times() -> None:
     print(f"calibrate_from_motion with a magnetometer, 30 units of one such recording: {perf_counter() - start:.1f} s")
     rest = find_rest_offset(records[0])
     for name, rest_or_none in (("with its rest", rest), ("without", None)):
-        find_motion_offset(records[0], rest_or_none)
+        fit_motion(records[0], rest_or_none)
         start = perf_counter()
-        find_motion_offset(records[0], rest_or_none)
-        print(f"find_motion_offset, {records[0].duration_s:.0f} s, {name}: {perf_counter() - start:.2f} s")
+        fit_motion(records[0], rest_or_none)
+        print(f"fit_motion, {records[0].duration_s:.0f} s, {name}: {perf_counter() - start:.2f} s")
 
 
 def main() -> None:

@@ -17,7 +17,7 @@ from undrift.calibration.calibrate import calibrate_from_motion
 from undrift.calibration.codes import device_adc
 from undrift.calibration.reference import leave_one_out
 from undrift.correction.correct import correct
-from undrift.correction.motion import find_motion_offset
+from undrift.correction.motion import fit_motion
 from undrift.correction.rest import find_rest_offset
 from undrift.model import Calibration
 from undrift.record import Record
@@ -62,7 +62,7 @@ def without_offset(record: Record, calibration: Calibration | None, offset: Offs
     if rest is not None and offset == "rest":
         gyro = gyro - rest.rate
     if offset == "motion":
-        gyro = gyro - find_motion_offset(done, rest, None if calibration is None else calibration.gyro).at(done.time)
+        gyro = gyro - fit_motion(done, rest, None if calibration is None else calibration.gyro).offset.at(done.time)
     return replace(done, gyro=gyro)
 
 

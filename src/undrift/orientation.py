@@ -374,22 +374,22 @@ def orient_unchecked(
     means = np.reshape([rates[rest.start : rest.stop].mean(axis=0) for rest in rests], (-1, 3))
     findings = padding(full_record, record)
     if settings.offset == "motion" or still is None:
-        from undrift.correction.motion import find_motion_offset  # imports scipy and a kernel
+        from undrift.correction.motion import fit_motion  # imports scipy and a kernel
 
-        motion_fit = find_motion_offset(record, None if still is None else rest_offset(record, still), gyro_model)
+        motion_fit = fit_motion(record, None if still is None else rest_offset(record, still), gyro_model)
     if still is None:
         tilt = _compute_tilt(record, motion_fit.vertical, {"motion": motion_fit.vertical_covariance}, settings.heading)
     else:
         tilt = initial_tilt(record, still, heading=settings.heading)
     if settings.offset == "motion":
         offsets, uncertainty, findings = (
-            motion_fit.at(record.time),
-            motion_fit.uncertainty,
-            (*findings, *motion_fit.findings),
+            motion_fit.offset.at(record.time),
+            motion_fit.offset.uncertainty,
+            (*findings, *motion_fit.offset.findings),
         )
     elif still is None:
         offsets = np.zeros((len(record), 3))
-        uncertainty = math.hypot(motion_fit.uncertainty, float(np.linalg.norm(motion_fit.rate.mean(axis=0))))
+        uncertainty = math.hypot(motion_fit.offset.uncertainty, float(np.linalg.norm(motion_fit.offset.mean)))
     else:
         offsets = np.zeros((len(record), 3))
         if settings.offset == "rest":

@@ -9,7 +9,7 @@ from testkit.findings import only
 from undrift.calibration.calibrate import calibrate_from_motion
 from undrift.calibration.in_motion import fit_in_motion
 from undrift.calibration.norm import QUADRATIC_SD, fit_norm
-from undrift.correction.motion import find_motion_offset
+from undrift.correction.motion import fit_motion
 from undrift.errors import NotObservable
 from undrift.record import Record
 from undrift.segments import sphere_of
@@ -33,7 +33,7 @@ def encoder(which: str) -> tuple[Record, np.ndarray]:
 @pytest.mark.parametrize(("which", "axes"), [("yaw", "z"), ("roll", "xyz")])
 def test_offset_from_motion_holds_the_encoder_or_keeps_its_prior(which: str, axes: str) -> None:
     record, angle = encoder(which)
-    found = find_motion_offset(record.in_units("rad/s", "m/s2"), None)
+    found = fit_motion(record.in_units("rad/s", "m/s2"), None).offset
     offset, spread = np.degrees(found.rate), np.degrees(np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2)))
     turned = np.cumsum(record.gyro * np.diff(record.time, prepend=0.0)[:, None], axis=0)
     known = np.column_stack((angle, record.time, np.ones(len(angle))))

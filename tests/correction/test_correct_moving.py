@@ -110,7 +110,7 @@ def test_the_rest_states_what_is_left_of_the_change_to_motion():
     )
     assert rest.moved == pytest.approx(np.sqrt(3e-6 + 3.0 * np.radians(0.005) ** 2), rel=1e-12)
     assert assumed.moved == pytest.approx(np.sqrt(3.0) * np.radians(0.02), rel=1e-12)
-    assert rest.uncertainty == pytest.approx(np.sqrt(np.trace(rest.covariance) + rest.moved**2), rel=1e-12)
+    assert rest.uncertainty == pytest.approx(np.sqrt(np.trace(rest.covariance[0]) + rest.moved**2), rel=1e-12)
 
 
 def test_files_hold_both_and_those_of_before_are_read(tmp_path):

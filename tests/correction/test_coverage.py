@@ -111,7 +111,7 @@ def test_a_stream_reports_the_extrapolated_nodes_of_the_batch():
     batch, corrector = correct_checked(r, c, policy="nan"), Corrector(c, "nan")
     masks = [corrector.push_checked(r.part(k, min(k + 29, N))).extrapolated for k in range(0, N, 29)]
     np.testing.assert_array_equal(np.concatenate(masks), batch.extrapolated)
-    assert corrector.warnings == batch.warnings
+    assert tuple(item.text for item in corrector.findings) == batch.warnings
     assert corrector.state.reach.samples_extrapolated == batch.extrapolated.sum()
     assert corrector.state.reach.seconds_extrapolated == pytest.approx(batch.reach.seconds_extrapolated)
     many = correct_checked(r, c, policy="nan", threads=3)

@@ -10,9 +10,10 @@ from scipy.stats import binom
 
 from testkit.broad_trials import FILES, trial
 from testkit.data import show
+from undrift.arrays import FloatArray
 from undrift.correction.correct import Corrector, correct_checked, correct_whole
-from undrift.correction.motion import STRETCH_S, find_motion_offset, offset_answer
-from undrift.correction.rest import MOVED, RestOffset, find_rest_offset
+from undrift.correction.motion import STRETCH_S, fit_motion, offset_answer
+from undrift.correction.rest import MOVED, RemainingOffset, find_rest_offset
 from undrift.errors import InputError
 from undrift.model import MATRIX_NAMES, MOVING_NAMES, OFFSET_NAMES
 from undrift.orientation import OrientSettings, orient
@@ -60,10 +61,10 @@ def test_nineteen_of_twenty_intervals_hold_the_offset_of_people_who_move(
             record = replace(record, accel=record.accel @ wrong.T + 0.3 * rng.standard_normal(3))
         rest = find_rest_offset(record)
         rest = replace(rest, rate=rest.rate - moved)  # at rest the offset was another
-        found = find_motion_offset(record, rest)
+        found = fit_motion(record, rest).offset
         errors.append(found.rate[0] - true)
         stated.append(np.sqrt(np.diag(found.covariance[0])))
-        before.append(rest.rate - true)
+        before.append(rest.mean - true)
     error, sigma, first = (np.degrees(each) for each in (errors, stated, before))
     inside = int((np.abs(error) < 1.96 * sigma).sum())
     ratio = float(np.sqrt((error**2).mean() / (sigma**2).mean()))
@@ -95,12 +96,18 @@ def swaying(seconds: float, drift: np.ndarray) -> Record:
     return Record(time=time, gyro=rate, accel=force, state="corrected")
 
 
+def known(rate: FloatArray) -> RemainingOffset:
+    """Return an offset (3,) that a rest of a second determines exactly."""
+    zero = np.zeros((1, 3, 3))
+    return RemainingOffset(time=np.array([0.5]), rate=rate[None], covariance=zero, rest_s=(0.0, 1.0), moved=0.0)
+
+
 def test_the_offset_of_a_long_recording_is_followed_from_stretch_to_stretch() -> None:
     drift = np.radians([0.03, -0.02, 0.0])
-    found = find_motion_offset(
+    found = fit_motion(
         swaying(4.0 * STRETCH_S, drift),
-        RestOffset(start_s=0.0, stop_s=1.0, rate=-0.5 * drift, covariance=np.zeros((3, 3))),
-    )
+        known(-0.5 * drift),
+    ).offset
     assert found.rate.shape == (4, 3)
     true = ((np.arange(4) + 0.5) / 4.0 - 0.5)[:, None] * drift
     off = np.degrees(found.rate - true)[:, :2]
@@ -146,16 +153,16 @@ def test_orient_states_what_motion_shows_and_drifts_less() -> None:
 def test_what_motion_cannot_show_is_refused() -> None:
     record, rest = (
         swaying(30.0, np.zeros(3)),
-        RestOffset(start_s=0.0, stop_s=1.0, rate=np.zeros(3), covariance=np.zeros((3, 3))),
+        known(np.zeros(3)),
     )
     with pytest.raises(InputError, match=re.escape("expected 20 s or more without gaps, got 9.95 s")):
-        find_motion_offset(record.part(0, 200), rest)
+        fit_motion(record.part(0, 200), rest)
     gone = np.array(record.accel)
     gone[7] = np.nan
     with pytest.raises(InputError, match=r"got 1 gaps \(NaN\)"):
-        find_motion_offset(replace(record, accel=gone), rest)
+        fit_motion(replace(record, accel=gone), rest)
     with pytest.raises(InputError, match="rates and specific force"):
-        find_motion_offset(replace(record, accel=None), rest)
+        fit_motion(replace(record, accel=None), rest)
 
 
 def test_a_stream_takes_the_offset_of_motion_as_the_whole_record_does() -> None:
@@ -178,8 +185,8 @@ def test_without_a_rest_the_offset_is_found_from_half_a_degree_per_second_away(d
     for seed in range(devices):
         record, true, _ = worn(seed, "free")
         far = 0.3 * RADIAN_PER_DEGREE * np.random.default_rng(seed).standard_normal(3)
-        found = find_motion_offset(replace(record, gyro=np.asarray(record.gyro) + far), None)
-        assert found.rest is None
+        found = fit_motion(replace(record, gyro=np.asarray(record.gyro) + far), None).offset
+        assert found.rest_s is None
         away.append(found.rate.mean(axis=0) - true - far)
         stated.append(np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2).mean(axis=0)))
     inside = np.abs(away) < 1.96 * np.array(stated)
@@ -192,7 +199,7 @@ def test_without_a_rest_the_offset_is_found_from_half_a_degree_per_second_away(d
 @pytest.mark.parametrize(("stated_dps", "wanted_dps"), [(0.001, 0.005), (1.0, 0.02)])
 def test_a_fitted_change_to_motion_takes_the_place_of_the_assumed_one(stated_dps: float, wanted_dps: float) -> None:
     record, _, _ = worn(5, "free")
-    rest = replace(find_rest_offset(record), covariance=np.zeros((3, 3)))
+    rest = replace(find_rest_offset(record), covariance=np.zeros((1, 3, 3)))
     gyro = true_calibration(random_device(np.random.default_rng(5)), temp_c=25.0).gyro
     assert gyro is not None
     model = replace(
@@ -201,7 +208,7 @@ def test_a_fitted_change_to_motion_takes_the_place_of_the_assumed_one(stated_dps
         moving_offset=np.zeros(3),
         covariance=np.diag(np.repeat((0.0, (stated_dps * RADIAN_PER_DEGREE) ** 2), (12, 3))),
     )
-    before = [find_motion_offset(record, rest, one).prior / RADIAN_PER_DEGREE for one in (None, model)]
+    before = [fit_motion(record, rest, one).offset.prior / RADIAN_PER_DEGREE for one in (None, model)]
     np.testing.assert_allclose(before, [[0.02] * 3, [wanted_dps] * 3], rtol=0.05)
 
 
@@ -209,7 +216,7 @@ def test_an_error_of_the_rates_moves_the_offset_by_what_is_stated() -> None:
     record, *_ = worn(4, "free")
     rest = find_rest_offset(record)
     rates = np.asarray(record.gyro)
-    first = find_motion_offset(record, rest)
+    first = fit_motion(record, rest).offset
     done = replace(record, gyro=rates - first.at(record.time))
     answer = offset_answer(done, first.prior, np.asarray(done.gyro))
     for axis, channel in ((0, 0), (1, 0), (2, 2)):
@@ -217,7 +224,7 @@ def test_an_error_of_the_rates_moves_the_offset_by_what_is_stated() -> None:
         for size in (5e-4, -5e-4):  # half the difference, as the sizes are sought anew each time
             wrong = np.zeros((3, 3))
             wrong[axis, channel] = size
-            other = find_motion_offset(replace(record, gyro=rates + np.asarray(done.gyro) @ wrong.T), rest)
+            other = fit_motion(replace(record, gyro=rates + np.asarray(done.gyro) @ wrong.T), rest).offset
             moved.append(0.5 * other.rate[0] / size)
         stated = answer[:, axis, channel]
         show(f"offset by an error {'xyz'[axis]}{'xyz'[channel]}, found and stated", [sum(moved), stated], "0.01 apart")

@@ -56,13 +56,13 @@ def test_what_is_left_at_the_first_rest_is_subtracted_from_every_sample_and_stat
     record, still = worn()
     plain, done = correct(record, CALIBRATION, check=False), correct_checked(record, CALIBRATION, offset="rest")
     assert done.rest is not None
-    assert done.rest.stop_s < still / FS
-    np.testing.assert_allclose(plain.gyro - done.record.gyro, np.tile(done.rest.rate, (len(record), 1)), atol=1e-15)
+    assert done.rest.rest_s[1] < still / FS
+    np.testing.assert_allclose(plain.gyro - done.record.gyro, np.tile(done.rest.mean, (len(record), 1)), atol=1e-15)
     np.testing.assert_array_equal(done.record.accel, plain.accel)
-    np.testing.assert_allclose(done.rest.rate, LEFT, atol=5.0 * 1e-3 / np.sqrt(15.0 * FS))
+    np.testing.assert_allclose(done.rest.mean, LEFT, atol=5.0 * 1e-3 / np.sqrt(15.0 * FS))
     (note,) = (item for item in done.findings if item.code == "correct.offset_subtracted")
     assert note.level == "info"
-    assert note.values["offset_dps"] == pytest.approx(np.degrees(done.rest.rate))
+    assert note.values["offset_dps"] == pytest.approx(np.degrees(done.rest.mean))
     assert "the calibration left" in note.text
     assert np.isfinite(done.rest.covariance).all()
 
@@ -73,8 +73,8 @@ def test_corrected_with_the_rest_and_oriented_is_oriented_with_the_rest():
     done = correct_checked(record, CALIBRATION, offset="rest")
     other = orient(done.record)
     np.testing.assert_allclose(other.q_nb, named.q_nb, atol=1e-12)
-    assert (named.time[named.still.start], named.time[named.still.stop - 1]) == (done.rest.start_s, done.rest.stop_s)
-    np.testing.assert_allclose(named.offset, done.rest.rate, atol=1e-15)
+    assert (named.time[named.still.start], named.time[named.still.stop - 1]) == done.rest.rest_s
+    np.testing.assert_allclose(named.offset, done.rest.mean, atol=1e-15)
 
 
 @pytest.mark.slow
@@ -85,7 +85,7 @@ def test_the_stated_uncertainty_holds_for_white_and_for_coloured_noise(walk):
     square = 0.0
     for seed in range(40):
         found = find_rest_offset(worn(seed, walk=walk)[0])
-        square += float((((found.rate - LEFT) ** 2) / np.diag(found.covariance)).sum())
+        square += float((((found.mean - LEFT) ** 2) / np.diag(found.covariance[0])).sum())
     show(
         f"rest offset, {'coloured' if walk else 'white'} noise: chi square over its degrees",
         f"{square / 120.0:.2f}",
@@ -103,12 +103,12 @@ def test_a_stream_finds_the_rest_of_the_whole_record_and_gives_its_bits(length, 
     parts = [record.part(a, min(a + size, len(record))) for a in range(0, len(record), size)]
     before = Corrector(CALIBRATION)
     found = find_rest_offset_in(before.push(part) for part in parts)
-    assert (found.start_s, found.stop_s) == (whole.rest.start_s, whole.rest.stop_s)
+    assert found.rest_s == whole.rest.rest_s
     np.testing.assert_array_equal(found.rate, whole.rest.rate)
     stream = Corrector(CALIBRATION, offset=found)
     gyro = np.concatenate([stream.push(part).gyro for part in parts])
     np.testing.assert_array_equal(gyro, whole.record.gyro)
-    read = before.state.samples
+    read = before.state.reach.samples
     assert read <= len(record)
 
 
@@ -117,13 +117,13 @@ def test_no_more_of_a_stream_is_read_than_the_search_needs(monkeypatch):
     record, _ = worn(3, motion_s=60.0)
     stream = Corrector(CALIBRATION)
     find_rest_offset_in(stream.push(record.part(a, a + 100)) for a in range(0, 8000, 100))
-    assert stream.state.samples < 2800
+    assert stream.state.reach.samples < 2800
 
 
 def test_a_named_stretch_is_taken_and_refused_outside_the_recording():
     record, _ = worn(5)
     found = find_rest_offset(record, (2.0, 6.0))
-    assert (found.start_s, found.stop_s) == (2.0, 5.99)
+    assert found.rest_s == (2.0, 5.99)
     for stretch in ((1.0, None), (3.0, 2.0), (2.0, 1e6)):
         for find in (find_rest_offset, lambda r, s: find_rest_offset_in(iter([r]), s)):
             with pytest.raises(InputError, match=r"within the recording's 0 to 39\.99 s"):
@@ -157,8 +157,8 @@ def test_correct_orient_and_validate_subtract_the_mean_of_the_same_rest():
     judged = validate_trial(made.record, made.reference, calibration=calibration, settings=TrialSettings(offset="rest"))
     oriented = orient(correct(made.record, calibration), settings=OrientSettings(offset="rest"))
     time = np.asarray(made.record.time)
-    assert (done.rest.start_s, done.rest.stop_s) == (judged.rest.start_s, judged.rest.stop_s)
-    assert (done.rest.start_s, done.rest.stop_s) == (time[oriented.still.start], time[oriented.still.stop - 1])
+    assert done.rest.rest_s == judged.rest.rest_s
+    assert done.rest.rest_s == (time[oriented.still.start], time[oriented.still.stop - 1])
     np.testing.assert_allclose(judged.rest.rate, done.rest.rate, rtol=0.0, atol=1e-12)
     np.testing.assert_allclose(oriented.offset, done.rest.rate, rtol=0.0, atol=1e-12)
 
@@ -171,16 +171,16 @@ def test_rows_that_fill_a_file_up_are_named_and_are_no_rest_on_any_route():
     first, last = 500 + 980, 500 + 980 + 2000  # of the true rest
     done = correct_checked(padded, CALIBRATION, offset="rest")
     assert "recording.padded" in [one.code for one in done.findings]
-    assert padded.time[first] <= done.rest.start_s < done.rest.stop_s < padded.time[last]
-    np.testing.assert_allclose(done.rest.rate, LEFT, atol=2e-4)
+    assert padded.time[first] <= done.rest.rest_s[0] < done.rest.rest_s[1] < padded.time[last]
+    np.testing.assert_allclose(done.rest.mean, LEFT, atol=2e-4)
     plain = correct(padded, CALIBRATION, check=False)
     parts = (plain.part(a, min(a + 777, len(plain))) for a in range(0, len(plain), 777))
     assert find_rest_offset_in(parts).rest_s == done.rest.rest_s
     found = orient(plain, settings=OrientSettings(offset="rest"))
     assert "recording.padded" in [one.code for one in found.findings]
     assert (found.time[0], found.time[-1]) == (padded.time[500], padded.time[last - 1])
-    assert found.time[found.still.start] == done.rest.start_s
-    np.testing.assert_allclose(found.offset, done.rest.rate, atol=1e-12)
+    assert found.time[found.still.start] == done.rest.rest_s[0]
+    np.testing.assert_allclose(found.offset, done.rest.mean, atol=1e-12)
     still = Still(start=first + 100, stop=last - 100)
     named = orient(plain, still, OrientSettings(offset="rest"))
     assert named.time[named.still.start] == padded.time[first + 100]

@@ -76,7 +76,7 @@ def drawn(row: str, rng: np.random.Generator, number: int) -> list[Seen]:
         course, still = _lying(rng) if worn == "lying" else _standing(rng)
         readings = replace(simulate_device(later, course, rng=rng, temp_c=25.0 + warmth).record, gyro=None)
         readings = replace(readings, time=RECORDED_S + np.asarray(readings.time))
-        tilt = initial_tilt(correct_checked(readings, made, reference_span_c=100.0).record, still)
+        tilt = initial_tilt(correct_checked(readings, made).record, still)
         up = frame @ rotate(quaternion_conjugate(course.q_nb[still.stop - 1]), np.array([0.0, 0.0, 1.0]))
         force = tilt.specific_force / np.linalg.norm(tilt.specific_force)
         off = np.arctan2(np.linalg.norm(np.cross(force, up)), force @ up)

@@ -8,8 +8,8 @@ from scipy.stats import binom
 
 from testkit.data import show
 from testkit.hand_turns import Device, make_recording
-from undrift.correction.motion import find_motion_offset
-from undrift.correction.rest import MOVED, RestOffset
+from undrift.correction.motion import fit_motion
+from undrift.correction.rest import MOVED, RemainingOffset
 from undrift.frames import integrate_strapdown
 from undrift.model import TriadModel
 from undrift.record import Record
@@ -186,8 +186,10 @@ def test_drawn_calibrations_err_as_often_as_their_intervals_say(source):
         gyro = (record.gyro - model.offset) @ model.matrix.T
         more = {}
         if source is SHOWN:
-            nothing = RestOffset(rate=np.zeros(3), covariance=1e-12 * np.eye(3), start_s=0.0, stop_s=1.0)
-            shown = find_motion_offset(replace(record, gyro=gyro), nothing)
+            nothing = RemainingOffset(
+                time=[0.5], rate=np.zeros((1, 3)), covariance=1e-12 * np.eye(3)[None], rest_s=(0.0, 1.0), moved=0.0
+            )
+            shown = fit_motion(replace(record, gyro=gyro), nothing).offset
             gyro = gyro - shown.at(record.time)
             more = {"offset_covariance": shown.covariance.mean(axis=0), "offset_prior": shown.prior}
         q = integrate_strapdown(gyro, record.time, reference.q_nb[0])

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from undrift.arrays import FloatArray
-    from undrift.correction.correct import Corrector, CorrectorState, OffsetLeft
-    from undrift.correction.rest import Stretch
+    from undrift.correction.correct import Corrector, CorrectorState
+    from undrift.correction.rest import RemainingOffset, Stretch
     from undrift.findings import Finding
     from undrift.model import Calibration
     from undrift.record import Record, Still
@@ -50,7 +50,7 @@ class CorrectedFile:
     state: "CorrectorState"
     notes: tuple[str, ...]
     findings: "tuple[Finding, ...]"  # ranges that the calibration does not cover, and symptoms of a wrong reading
-    rest: "OffsetLeft | None"  # subtracted offset, also in the notes
+    rest: "RemainingOffset | None"  # subtracted offset, also in the notes
     # for each rest of the first chunk, |a|, m/s2, and |w|, deg/s, raw and corrected, (n, 2), and the rms of |a| - g and
     # of |w|
     rests: "list[FloatArray]"
@@ -64,7 +64,7 @@ class CorrectedFile:
         return {
             "recording": str(self.record),
             "output": str(self.output),
-            "samples": self.state.samples,
+            "samples": self.state.reach.samples,
             **{key: getattr(self.state.reach, key) for key in keys},
             "rest": self.rest and self.rest.figures,
             "at_rest": self.at_rest,
@@ -273,7 +273,7 @@ def _correct_one(
     model: "Calibration",
     opening: Opening,
     made_by: "Callable[[Path], dict[str, object]]",
-    find_offset: "Callable[..., OffsetLeft] | None",
+    find_offset: "Callable[..., RemainingOffset] | None",
     progress: Progress = silent,
 ) -> CorrectedFile:
     """Correct a recording into a file, chunk by chunk where the file takes chunks."""
@@ -307,7 +307,7 @@ def _correct_one(
             for saturation in find_saturated(chunk):
                 saturated.setdefault((saturation.values["channel"], saturation.values["axis"]), saturation)
             done = stream.push_checked(chunk)
-            if stream.state.samples == len(chunk):  # the first chunk is enough
+            if stream.state.reach.samples == len(chunk):  # the first chunk is enough
                 with named_columns(record):
                     check_force(done.record)
                     suspicions = (*check_corrected(done.record, model, chunk), *_suspicions(done.record, model))
@@ -315,8 +315,8 @@ def _correct_one(
                 rests, rms = _compare_rests(chunk, done.record, model)
             written.result()
             written = pool.submit(write, done.record)
-            notes.update(dict.fromkeys((*left_out, *done.notes)))
-            progress(record.name, stream.state.samples / total if total else READ)
+            notes.update(dict.fromkeys((*left_out, *(item.text for item in done.findings if item.level == "info"))))
+            progress(record.name, stream.state.reach.samples / total if total else READ)
         written.result()
     suspicions = (
         *saturated.values(),
@@ -372,10 +372,9 @@ def _offset_left(
     *,
     offset: Literal["rest", "motion"],
     stretch: "Stretch",
-) -> "OffsetLeft":
+) -> "RemainingOffset":
     """Return the remaining offset of a corrected recording. At a rest, only as many readings are read as needed."""
-    from undrift.correction.correct import offset_left
-    from undrift.correction.rest import find_rest_offset_in, known_rest_offset, moved_by
+    from undrift.correction.rest import find_offset, find_rest_offset_in
     from undrift.io.column_map import naming
     from undrift.record import joined
 
@@ -383,9 +382,8 @@ def _offset_left(
         parts = (calibrated_part(read, model)[0] for read in opening.chunks(record))
         corrected = (corrector.push_checked(chunk).record for chunk in parts)
         if offset == "rest":
-            return replace(find_rest_offset_in(corrected, stretch), moved=moved_by(model.gyro))
-        joined_record = joined(list(corrected))
-        return offset_left(joined_record, offset, known_rest_offset(joined_record, stretch), model.gyro)
+            return find_rest_offset_in(corrected, stretch, model.gyro)
+        return find_offset(joined(list(corrected)), offset, model.gyro, stretch)
 
 
 def _provenance(

@@ -28,7 +28,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, Union
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -49,22 +49,16 @@ from undrift.correction.plan import (
     in_pieces,
     plan_record,
 )
-from undrift.correction.rest import RestOffset, find_rest_offset, known_rest_offset, moved_by
+from undrift.correction.rest import RemainingOffset, find_offset
 from undrift.errors import InputError, check_choice
 from undrift.findings import Finding
-from undrift.model import NO_TABLES, Calibration, TriadModel
-from undrift.record import Record
+from undrift.model import NO_TABLES, Calibration
+from undrift.record import Record, Still
 from undrift.segments import find_turning
-
-if TYPE_CHECKING:
-    from undrift.correction.motion import MotionOffset
 
 Buffers: TypeAlias = tuple[FloatArray, FloatArray]  # rate, rad/s, and specific force, m/s2, (N, 3)
 Policy = Literal["raise", "hold", "nan"]
-OffsetLeft: TypeAlias = Union[RestOffset, "MotionOffset"]  # offset that remains in a corrected recording
-Offset: TypeAlias = Literal["none", "rest", "motion"] | OffsetLeft
-
-REFERENCE_SPAN_C = 5.0  # distance from the reference temperature within which constant offsets are assumed to apply
+Offset: TypeAlias = Literal["none", "rest", "motion"] | RemainingOffset
 
 
 def _evaluate_triad(
@@ -127,7 +121,7 @@ class Corrected:
         Codes ``correct.*``: readings beyond the calibration (level warn), and errors that it does not correct (level info).
     reach, carry : Reach, Carry
         Samples and seconds of each mask with the span of temperature and rate, and the state for the next chunk of a stream.
-    rest : RestOffset, MotionOffset or None
+    rest : RemainingOffset or None
         The offset that was subtracted, with its uncertainty.
     """
 
@@ -138,17 +132,17 @@ class Corrected:
     findings: tuple[Finding, ...]
     reach: coverage.Reach
     carry: Carry
-    rest: OffsetLeft | None = None
+    rest: RemainingOffset | None = None
+
+    @property
+    def stills(self) -> tuple[Still, ...] | None:
+        """Still phases that the search for the offset found, or None without a search."""
+        return None if self.rest is None else self.rest.stills
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Texts of the findings of level warn."""
         return tuple(item.text for item in self.findings if item.level == "warn")
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Texts of the findings of level info."""
-        return tuple(item.text for item in self.findings if item.level == "info")
 
 
 def correct(
@@ -173,7 +167,7 @@ def correct(
         Buffers for rate and specific force. The record then refers to these arrays.
     power_on_s : float, optional
         Time since power-on at the first sample, s. Without it no warm-up is subtracted.
-    offset : str, RestOffset or MotionOffset
+    offset : str or RemainingOffset
         "rest" subtracts the mean rate at the first still phase, including any true slow turn. "motion" also subtracts the
         offset that gravity determines in motion. An object subtracts a known offset.
     check : bool
@@ -206,7 +200,7 @@ def correct(
     ('rad/s', 'm/s2', 'b')
     """
     corrected = correct_whole(record, calibration, power_on_s, offset, policy=policy, out=out)
-    suspicions = _suspicions(corrected, calibration, record) if check else ()
+    suspicions = check_corrected(corrected.record, calibration, record, corrected.stills) if check else ()
     for text in (*(item.text for item in suspicions), *corrected.warnings):
         warnings.warn(text, DriftRangeWarning, stacklevel=2)
     return corrected.record
@@ -217,7 +211,6 @@ def correct_checked(
     calibration: Calibration,
     *,
     policy: Policy = "raise",
-    reference_span_c: float = REFERENCE_SPAN_C,
     threads: int | None = None,
     power_on_s: float | None = None,
     offset: Offset = "none",
@@ -228,8 +221,6 @@ def correct_checked(
     ----------
     record, calibration, policy
         As for ``correct``, which also lists the exceptions.
-    reference_span_c : float
-        Without a table, warn if the temperature differs from the reference by more than this, degC.
     threads : int, optional
         By default all processors for long records, and one for short records. The result does not depend on it.
     power_on_s, offset
@@ -246,16 +237,10 @@ def correct_checked(
     >>> len(corrected.findings), int(corrected.outside.sum())
     (0, 0)
     """
-    options = {"policy": policy, "reference_span_c": reference_span_c, "threads": threads}
+    options = {"policy": policy, "threads": threads}
     corrected = correct_whole(record, calibration, power_on_s, offset, **options)
-    return replace(corrected, findings=(*_suspicions(corrected, calibration, record), *corrected.findings))
-
-
-def _suspicions(corrected: Corrected, calibration: Calibration, record: Record) -> tuple[Finding, ...]:
-    """Return findings about a record and its calibration. Still phases from step 7 are not searched again."""
-    return check_corrected(
-        corrected.record, calibration, record, None if corrected.rest is None else corrected.rest.stills
-    )
+    suspicions = check_corrected(corrected.record, calibration, record, corrected.stills)
+    return replace(corrected, findings=(*suspicions, *corrected.findings))
 
 
 def correct_whole(
@@ -272,29 +257,17 @@ def correct_whole(
         check_choice(offset, ("none", "rest", "motion"), "correct", "offset")
         if offset == "none":
             return corrected
-        rest = find_rest_offset(corrected.record) if offset == "rest" else known_rest_offset(corrected.record)
-        offset = offset_left(corrected.record, offset, rest, calibration.gyro)
-    return _subtract_motion_offset(corrected, offset, options.get("out"))
+        offset = find_offset(corrected.record, offset, calibration.gyro)
+    return _subtract_offset(corrected, offset, options.get("out"))
 
 
-def _subtract_motion_offset(corrected: Corrected, offset: OffsetLeft, out: Buffers | None = None) -> Corrected:
+def _subtract_offset(corrected: Corrected, offset: RemainingOffset, out: Buffers | None = None) -> Corrected:
     """Subtract an offset from a corrected record: step 7."""
     if corrected.record.gyro is None:
         return corrected
     rate = np.subtract(corrected.record.gyro, offset.at(corrected.record.time), out=None if out is None else out[0])
     record = corrected.record.computed(gyro=rate, offset_uncertainty=offset.uncertainty)
     return replace(corrected, record=record, rest=offset, findings=(*corrected.findings, *offset.findings))
-
-
-def offset_left(
-    record: Record, offset: Literal["rest", "motion"], rest: RestOffset | None, model: TriadModel | None
-) -> OffsetLeft:
-    """Return the offset that remains in a corrected record, at its rest or from its motion."""
-    if offset == "rest" and rest is not None:
-        return replace(rest, moved=moved_by(model))
-    from undrift.correction.motion import find_motion_offset  # imports scipy and a kernel
-
-    return find_motion_offset(record, rest, model)
 
 
 def correct_planned(
@@ -304,7 +277,6 @@ def correct_planned(
     *,
     policy: Policy = "raise",
     out: Buffers | None = None,
-    reference_span_c: float = REFERENCE_SPAN_C,
     threads: int | None = None,
     carry: Carry = Carry(),
 ) -> Corrected:
@@ -351,7 +323,7 @@ def correct_planned(
         extrapolated=unmarked if extrapolated is None else extrapolated,
         missing=unmarked if missing is None else missing,
         findings=(
-            *coverage.coverage_findings(reach, calibration, reference_span_c),
+            *coverage.coverage_findings(reach, calibration),
             *coverage.model_findings(record, calibration, coming),
         ),
         reach=reach,
@@ -392,21 +364,16 @@ class CorrectorState:
     reach: coverage.Reach = field(default_factory=coverage.Reach)  # range of the chunks so far
     carry: Carry = field(default_factory=Carry)  # time of power-on, state of the lag
 
-    @property
-    def samples(self) -> int:
-        """Number of samples corrected so far."""
-        return self.reach.samples
-
 
 class Corrector:
     """Correct a stream chunk by chunk, with bit-identical results to ``correct``.
 
     Parameters
     ----------
-    calibration, policy, reference_span_c, power_on_s
+    calibration, policy, power_on_s
         As for ``correct_checked``.
-    offset : RestOffset or MotionOffset, optional
-        Offset that is subtracted from every chunk. ``find_rest_offset_in`` finds a RestOffset in the first corrected chunks.
+    offset : RemainingOffset, optional
+        Offset that is subtracted from every chunk. ``find_rest_offset_in`` finds it in the first corrected chunks.
 
     Examples
     --------
@@ -427,26 +394,20 @@ class Corrector:
         calibration: Calibration,
         policy: Policy = "raise",
         *,
-        reference_span_c: float = REFERENCE_SPAN_C,
         power_on_s: float | None = None,
-        offset: OffsetLeft | None = None,
+        offset: RemainingOffset | None = None,
     ) -> None:
         check_choice(policy, Policy, "correct", "policy")
         carry_at_start(0.0, power_on_s)  # refused now rather than at the first chunk
-        self._calibration, self._policy, self._span = calibration, policy, reference_span_c
+        self._calibration, self._policy = calibration, policy
         self._power_on_s, self._offset = power_on_s, offset
         self._plans: dict[tuple[str, str, bool, bool, bool], Plans] = {}
         self.state = CorrectorState()  # may be saved, and put back by assignment
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """Texts of the findings of the stream so far."""
-        return tuple(item.text for item in self.findings)
-
-    @property
     def findings(self) -> tuple[Finding, ...]:
         """Findings of the stream so far, each once, identical to the findings of a batch."""
-        return coverage.coverage_findings(self.state.reach, self._calibration, self._span)
+        return coverage.coverage_findings(self.state.reach, self._calibration)
 
     def push(self, chunk: Record) -> Record:
         """Return the next chunk of raw readings, which must follow the previous chunk, corrected.
@@ -470,12 +431,10 @@ class Corrector:
         if key not in self._plans or chunk.state == "corrected":
             self._plans[key] = plan_record(chunk, self._calibration)
         carry = self.state.carry
-        if not self.state.samples:
+        if not self.state.reach.samples:
             carry = carry_at_start(float(chunk.time[0]), self._power_on_s)
-        corrected = correct_planned(
-            chunk, self._calibration, self._plans[key], policy=self._policy, reference_span_c=self._span, carry=carry
-        )
-        corrected = corrected if self._offset is None else _subtract_motion_offset(corrected, self._offset)
+        corrected = correct_planned(chunk, self._calibration, self._plans[key], policy=self._policy, carry=carry)
+        corrected = corrected if self._offset is None else _subtract_offset(corrected, self._offset)
         self.state = CorrectorState(reach=self.state.reach.joined(corrected.reach), carry=corrected.carry)
         return corrected
 

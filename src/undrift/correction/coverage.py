@@ -25,6 +25,7 @@ from undrift.units import si_factor
 
 Span = tuple[float, float]  # least and greatest
 NOWHERE: Span = (np.inf, -np.inf)
+REFERENCE_SPAN_C = 5.0  # distance from the reference temperature within which constant offsets are assumed to apply
 ON_NODE = 1e-9  # in cells: a value so near to a node uses that node only
 
 
@@ -166,7 +167,7 @@ def extremes(values: FloatArray) -> Span:
 # ---- findings
 
 
-def coverage_findings(reach: Reach, calibration: Calibration, reference_span_c: float) -> tuple[Finding, ...]:
+def coverage_findings(reach: Reach, calibration: Calibration) -> tuple[Finding, ...]:
     """Return findings about readings beyond the tables, or beyond the temperatures of constant offsets."""
     drift, findings = calibration.drift, list[Finding]()
     if reach.seconds_without_temperature > 0.0:
@@ -180,9 +181,9 @@ def coverage_findings(reach: Reach, calibration: Calibration, reference_span_c: 
         what = f"{seconds:.1f} s with an extrapolated drift table"
         numbers = "no data were recorded near these temperatures and rates"
         findings.append(finding("correct.outside", "warn", what=what, numbers=numbers, seconds=seconds))
-    if (departure := reach.departure_c) > reference_span_c:
-        reference, span = calibration.reference_temp_c, reference_span_c
-        findings.append(finding("correct.departure", "warn", departure_c=departure, reference_c=reference, span_c=span))
+    if (departure := reach.departure_c) > REFERENCE_SPAN_C:
+        values = {"reference_c": calibration.reference_temp_c, "span_c": REFERENCE_SPAN_C}
+        findings.append(finding("correct.departure", "warn", departure_c=departure, **values))
     rates = drift.dynamic.turn_rate if drift and drift.dynamic else None
     if rates is not None and (reach.turn_rate[0] < rates[0] or reach.turn_rate[1] > rates[-1]):
         least, greatest, first, last = np.degrees((*reach.turn_rate, rates[0], rates[-1]))

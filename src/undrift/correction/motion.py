@@ -16,18 +16,16 @@ have errors E w, with E within the tolerances of data sheets. They change b, and
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Annotated, Any
 
 import numpy as np
 
-from undrift.arrays import FloatArray, Shape, freeze
-from undrift.correction.rest import LEAST_IN_MOTION_S, MOVED, RestOffset, moved_by
+from undrift.arrays import FloatArray
+from undrift.correction.rest import LEAST_IN_MOTION_S, MOVED, RemainingOffset, moved_by
 from undrift.errors import InputError
-from undrift.findings import Finding, finding
 from undrift.fit.carried import MEAN_S, CarriedMeans
 from undrift.fit.priors import GYRO_CROSS_AXIS, SCALE_FACTOR
 from undrift.model import TriadModel
-from undrift.record import Record, Still
+from undrift.record import Record
 from undrift.segments import unpadded
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 
@@ -39,84 +37,21 @@ CALIBRATED, RAW = (0.05, 0.005), (0.5, 0.03)
 CALIBRATED_RATE, RAW_RATE = 0.1 * RADIAN_PER_DEGREE, 1.0 * RADIAN_PER_DEGREE
 _UNRESTED = 1.6  # ratio of actual to computed error without a rest, for 30 simulated people who move freely
 _LOOSE = 1.0 * RADIAN_PER_DEGREE  # rad/s, of the offset while the sizes are sought
-_KEPT = 0.7  # share of the prior deviation above which an axis keeps its prior
 _FIXED = 1e-9  # error of the rates, while the sizes are estimated
 _ROUNDS, _SETTLED = 8, 1e-7  # linearisations, and final change in rad/s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class MotionOffset:
-    """Offset from motion, in the middle of each stretch."""
+class MotionFit:
+    """Offset of the gyroscopes, and the vertical at the start, from gravity in motion."""
 
-    time: Annotated[FloatArray, Shape("s")]  # s
-    rate: Annotated[FloatArray, Shape("s", 3)]  # rad/s, frame b
-    covariance: Annotated[FloatArray, Shape("s", 3, 3)]  # (rad/s)^2
-    prior: Annotated[FloatArray, Shape(3)]  # standard deviation of the prior, rad/s
-    acceleration: float  # rms of the remaining acceleration in a mean, m/s2
-    rest: RestOffset | None  # None if the device never rested
-    vertical: Annotated[
-        FloatArray, Shape(3)
-    ]  # specific force at rest in the attitude of the first sample, m/s2, frame b there
-    vertical_covariance: Annotated[FloatArray, Shape(3, 3)]  # (m/s2)^2
-
-    def __post_init__(self) -> None:
-        freeze(self)
-
-    def at(self, time: FloatArray) -> FloatArray:
-        """Return the offset (N, 3) at times (N,), linear between stretches."""
-        return np.stack([np.interp(time, self.time, axis) for axis in self.rate.T], axis=1)
-
-    @property
-    def uncertainty(self) -> float:
-        """Standard uncertainty of the worst stretch, all axes together, rad/s."""
-        return float(np.sqrt(np.trace(self.covariance, axis1=1, axis2=2).max()))
-
-    @property
-    def rest_s(self) -> tuple[float, float] | None:
-        """First and last sample of the rest, on the recording's clock."""
-        return None if self.rest is None else self.rest.rest_s
-
-    @property
-    def stills(self) -> tuple[Still, ...] | None:
-        """Rests detected during the search, or None for a given stretch."""
-        return None if self.rest is None else self.rest.stills
-
-    @property
-    def deviation(self) -> FloatArray:
-        """Standard uncertainty of each axis in the worst stretch, (3,), rad/s."""
-        return np.asarray(np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2).max(axis=0)))
-
-    @property
-    def figures(self) -> dict[str, Any]:
-        """The offset that was subtracted, as JSON has it."""
-        return {
-            "rest_s": self.rest_s,
-            "offset_dps": self.rate.mean(axis=0) / RADIAN_PER_DEGREE,
-            "offset_uncertainty_dps": self.deviation / RADIAN_PER_DEGREE,
-            "prior_dps": self.prior / RADIAN_PER_DEGREE,
-            "acceleration_m_s2": self.acceleration,
-        }
-
-    @property
-    def findings(self) -> tuple[Finding, ...]:
-        """The offset that was subtracted, and the axes whose offset the motion does not determine."""
-        rate, uncertainty, prior = (
-            ", ".join(f"{axis / RADIAN_PER_DEGREE:.{digits}g}" for axis in values)
-            for values, digits in ((self.rate.mean(axis=0), 3), (self.deviation, 2), (self.prior, 2))
-        )
-        numbers = f"{rate} deg/s subtracted, +- {uncertainty} deg/s, known to +- {prior} before; "
-        numbers += f"acceleration leaves {self.acceleration:.2g} m/s2 in a mean over 5 s"
-        subtracted = finding("correct.offset_subtracted", "info", what="Offset found from the motion", numbers=numbers)
-        near_prior = self.deviation > _KEPT * self.prior
-        if self.rest is not None or not near_prior.any():
-            return (subtracted,)
-        axes = ", ".join(axis for axis, hidden in zip("xyz", near_prior.tolist(), strict=True) if hidden)
-        size = float(self.prior[near_prior].max()) / RADIAN_PER_DEGREE
-        return subtracted, finding("correct.motion_offset_kept", "warn", axes=axes, prior_dps=size)
+    offset: RemainingOffset
+    vertical: FloatArray  # (3,), specific force at rest in the attitude of the first sample, m/s2, frame b there
+    vertical_covariance: FloatArray  # (3, 3), (m/s2)^2
 
 
-def find_motion_offset(record: Record, rest: RestOffset | None, model: TriadModel | None = None) -> MotionOffset:
-    """Return the offset that gravity determines in motion, with the mean at a rest or the model's uncertainty as its prior."""
+def fit_motion(record: Record, rest: RemainingOffset | None, model: TriadModel | None = None) -> MotionFit:
+    """Fit the offset that gravity determines in motion, with the mean at a rest or the model's uncertainty as its prior."""
     record = unpadded(record)
     advice = "Record with a pause at rest." if rest is None else "Use `offset` rest."
     if record.gyro is None or record.accel is None:
@@ -127,8 +62,8 @@ def find_motion_offset(record: Record, rest: RestOffset | None, model: TriadMode
         raise InputError(
             f"offset from motion: expected {LEAST_IN_MOTION_S:g} s or more without gaps, got {got}. {advice}"
         )
-    prior = _prior_without_rest(model) if rest is None else rest.covariance + np.eye(3) * axis_moved_by(model) ** 2
-    usual = np.zeros(3) if rest is None else rest.rate
+    prior = _prior_without_rest(model) if rest is None else rest.covariance[0] + np.eye(3) * axis_moved_by(model) ** 2
+    usual = np.zeros(3) if rest is None else rest.mean
     stretches, theta, information = _fit_stretches(record, usual, usual, prior, STRETCH_S)
     if rest is None:  # over a whole recording the vertical may turn too far for a linearisation about no offset
         pieces, short, _ = _fit_stretches(record, usual, usual, prior, SHORT_S)
@@ -145,16 +80,16 @@ def find_motion_offset(record: Record, rest: RestOffset | None, model: TriadMode
         covariance += (answers * matrix_sigma.ravel() ** 2) @ answers.T
     first = np.r_[:3, count : count + 3]
     vertical, vertical_covariance = stretches[0].vertical(covariance[np.ix_(first, first)])
-    return MotionOffset(
-        vertical=vertical,
-        vertical_covariance=vertical_covariance,
+    offset = RemainingOffset(
         time=np.array([stretch.middle for stretch in stretches]),
         rate=theta[:count].reshape(-1, 3),
         covariance=np.stack([covariance[k : k + 3, k : k + 3] for k in range(0, count, 3)]),
+        rest_s=None if rest is None else rest.rest_s,
+        stills=None if rest is None else rest.stills,
+        moved=0.0,
         prior=np.sqrt(np.diag(prior)),
-        acceleration=float(np.sqrt(np.mean([np.exp(stretch.sizes[0]) for stretch in stretches]))),
-        rest=rest,
     )
+    return MotionFit(offset=offset, vertical=vertical, vertical_covariance=vertical_covariance)
 
 
 def offset_answer(record: Record, prior: FloatArray, rate_errors: FloatArray) -> FloatArray:

@@ -15,14 +15,14 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from undrift.arrays import FloatArray, Shape, freeze
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
-from undrift.model import MOVING_NAMES, TriadModel
+from undrift.model import MOVING_NAMES, TriadModel, Vector
 from undrift.record import Record, Still, joined
 from undrift.segments import find_still, unpadded
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
@@ -38,51 +38,74 @@ FEWEST = 10  # samples needed to estimate their scatter
 MOVED = 0.02 * RADIAN_PER_DEGREE
 # rad/s, deviation of a recording's change from a fitted change of its device: BROAD, three devices, rounded up
 MOVED_AGAIN = 0.005 * RADIAN_PER_DEGREE
+KEPT = 0.7  # share of the prior deviation above which the motion does not determine an axis
 IN_MOTION = ("reference/motion", "reference/common")  # methods of a triad whose offset is that in motion already
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RestOffset:
-    """Mean rate of a corrected record at a rest."""
+class RemainingOffset:
+    """Offset of the gyroscopes that remains in a corrected record: one value from a rest, or one for each stretch of a motion."""
 
-    start_s: float  # First sample of the rest, on the recording's clock
-    stop_s: float  # Last sample of it
-    rate: Annotated[FloatArray, Shape(3)]  # mean, rad/s, frame b
-    covariance: Annotated[FloatArray, Shape(3, 3)]  # covariance of the mean from the scatter of the readings, (rad/s)^2
+    time: Annotated[FloatArray, Shape("s")]  # middle of the rest or of each stretch, s
+    rate: Annotated[FloatArray, Shape("s", 3)]  # rad/s, frame b
+    covariance: Annotated[FloatArray, Shape("s", 3, 3)]  # covariance of the rate, (rad/s)^2
+    rest_s: (
+        tuple[float, float] | None
+    )  # first and last sample of the rest on the recording's clock, or None without a rest
     stills: tuple[Still, ...] | None = None  # all rests found in the search, or None for a given stretch
-    moved: float = math.sqrt(3.0) * MOVED  # rad/s, standard uncertainty of the change in motion, all axes together
+    moved: float  # rad/s, standard uncertainty of the change from rest to motion, all axes together
+    prior: Vector = None  # standard deviation before the motion was used, rad/s, or None for the mean of a rest
 
     def __post_init__(self) -> None:
         freeze(self)
 
-    @property
-    def rest_s(self) -> tuple[float, float]:
-        """First and last sample of the rest, on the recording's clock."""
-        return self.start_s, self.stop_s
-
     def at(self, time: FloatArray) -> FloatArray:
-        """Return the offset at times (N,): the same at all, (3,)."""
-        return self.rate
+        """Return the offset at times (N,), linear between stretches, (N, 3)."""
+        if len(self.time) == 1:
+            return np.broadcast_to(self.rate, (len(time), 3))
+        return np.stack([np.interp(time, self.time, axis) for axis in self.rate.T], axis=1)
+
+    @property
+    def mean(self) -> FloatArray:
+        """Mean offset, (3,), rad/s."""
+        return np.asarray(self.rate.mean(axis=0))
 
     @property
     def uncertainty(self) -> float:
-        """Standard uncertainty in motion, all axes together, rad/s: of the mean, and of the change from rest to motion."""
-        return float(np.sqrt(np.trace(self.covariance) + self.moved**2))
+        """Standard uncertainty in motion, worst stretch, all axes together, rad/s."""
+        return float(np.sqrt(np.trace(self.covariance, axis1=1, axis2=2).max() + self.moved**2))
+
+    @property
+    def deviation(self) -> FloatArray:
+        """Standard uncertainty of each axis in motion, worst stretch, (3,), rad/s."""
+        return np.asarray(np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2).max(axis=0) + self.moved**2 / 3.0))
 
     @property
     def figures(self) -> dict[str, Any]:
         """The offset that was subtracted, as JSON has it."""
-        rate, uncertainty = self.rate / RADIAN_PER_DEGREE, self.uncertainty / RADIAN_PER_DEGREE
+        rate, uncertainty = self.mean / RADIAN_PER_DEGREE, self.deviation / RADIAN_PER_DEGREE
         return {"rest_s": self.rest_s, "offset_dps": rate, "offset_uncertainty_dps": uncertainty}
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """The offset that was subtracted, in words."""
-        rate, uncertainty = self.rate / RADIAN_PER_DEGREE, self.uncertainty / RADIAN_PER_DEGREE
-        numbers = f"{', '.join(f'{axis:.3g}' for axis in rate)} deg/s at {self.start_s:.1f} to {self.stop_s:.1f} s, which the "
-        numbers += f"calibration left. Its uncertainty in motion is {uncertainty:.2g} deg/s"
-        what = "Offset of a rest subtracted"
-        return (finding("correct.offset_subtracted", "info", what=what, numbers=numbers, offset_dps=rate),)
+        """The offset that was subtracted, and the axes whose offset the motion does not determine."""
+        rate, uncertainty = (
+            ", ".join(f"{axis / RADIAN_PER_DEGREE:.{digits}g}" for axis in values)
+            for values, digits in ((self.mean, 3), (self.deviation, 2))
+        )
+        source = "from the motion" if self.rest_s is None else "at {:.1f} to {:.1f} s".format(*self.rest_s)
+        source += " and from the motion" if self.prior is not None and self.rest_s is not None else ""
+        numbers = (
+            f"{rate} deg/s {source}, which the calibration left, with a standard uncertainty of {uncertainty} deg/s"
+        )
+        offset_dps = self.mean / RADIAN_PER_DEGREE
+        subtracted = finding("correct.offset_subtracted", "info", numbers=numbers, offset_dps=offset_dps)
+        if self.rest_s is not None or self.prior is None or not (self.deviation > KEPT * self.prior).any():
+            return (subtracted,)
+        near_prior = self.deviation > KEPT * self.prior
+        axes = ", ".join(axis for axis, hidden in zip("xyz", near_prior.tolist(), strict=True) if hidden)
+        size = float(self.prior[near_prior].max()) / RADIAN_PER_DEGREE
+        return subtracted, finding("correct.motion_offset_kept", "warn", axes=axes, prior_dps=size)
 
 
 def moved_by(model: TriadModel | None) -> float:
@@ -111,7 +134,9 @@ def mean_variance(x: FloatArray) -> float:
     return max(total, float(covariance[0])) / (n - 1)
 
 
-def rest_offset(record: Record, still: Still) -> RestOffset:
+def rest_offset(
+    record: Record, still: Still, model: TriadModel | None = None, stills: tuple[Still, ...] | None = None
+) -> RemainingOffset:
     """Return the mean rate of a corrected record at a rest."""
     rates = np.empty((0, 3)) if record.gyro is None else record.gyro[still.start : still.stop]
     if len(rates) < FEWEST or np.isnan(rates).any():
@@ -119,11 +144,14 @@ def rest_offset(record: Record, still: Still) -> RestOffset:
         raise InputError(
             f"rest: expected {FEWEST} samples at rest or more, without gaps, got {got}. Name another stretch, or use offset none."
         )
-    return RestOffset(
-        start_s=float(record.time[still.start]),
-        stop_s=float(record.time[still.stop - 1]),
-        rate=rates.mean(axis=0),
-        covariance=np.diag([mean_variance(axis) for axis in rates.T]),
+    start_s, stop_s = float(record.time[still.start]), float(record.time[still.stop - 1])
+    return RemainingOffset(
+        time=np.array([0.5 * (start_s + stop_s)]),
+        rate=rates.mean(axis=0)[None],
+        covariance=np.diag([mean_variance(axis) for axis in rates.T])[None],
+        rest_s=(start_s, stop_s),
+        stills=stills,
+        moved=moved_by(model),
     )
 
 
@@ -143,24 +171,31 @@ def named_rest(record: Record, stretch: Stretch) -> Still | None:
     return Still(start=int(start), stop=max(int(stop), int(start) + 1))
 
 
-def known_rest_offset(record: Record, stretch: Stretch = NAMED_NONE) -> RestOffset | None:
-    """Return the offset at the first rest as ``find_rest_offset`` does, or None for a record that never rests."""
-    try:
-        return find_rest_offset(record, stretch)
-    except InputError as error:
-        if error.numbers.get("missing") != "rest":
-            raise
-        return None
-
-
-def find_rest_offset(record: Record, stretch: Stretch = NAMED_NONE) -> RestOffset:
+def find_rest_offset(record: Record, stretch: Stretch = NAMED_NONE, model: TriadModel | None = None) -> RemainingOffset:
     """Return the mean rate of a corrected record at its first rest, or in a given stretch."""
     if record.gyro is None:
         raise InputError("rest: gyroscope readings and their calibration are needed. Omit `offset` rest.")
     if (still := named_rest(record, stretch)) is not None:
-        return rest_offset(record, still)
+        return rest_offset(record, still, model)
     stills = _first_rests(record, "correct")
-    return replace(rest_offset(record, stills[0]), stills=stills)
+    return rest_offset(record, stills[0], model, stills)
+
+
+def find_offset(
+    record: Record, offset: Literal["rest", "motion"], model: TriadModel | None, stretch: Stretch = NAMED_NONE
+) -> RemainingOffset:
+    """Return the offset that remains in a corrected record, at its rest, or from its motion and from the rest if there is one."""
+    if offset == "rest":
+        return find_rest_offset(record, stretch, model)
+    from undrift.correction.motion import fit_motion  # imports scipy and a kernel
+
+    try:
+        rest = find_rest_offset(record, stretch, model)
+    except InputError as error:
+        if error.numbers.get("missing") != "rest":
+            raise
+        rest = None
+    return fit_motion(record, rest, model).offset
 
 
 def rests_from_first(record: Record, what: str) -> tuple[Still, ...]:
@@ -170,8 +205,10 @@ def rests_from_first(record: Record, what: str) -> tuple[Still, ...]:
     return stills[0], *(still for still in later_stills if still.start >= stills[0].stop)
 
 
-def find_rest_offset_in(chunks: Iterator[Record], stretch: Stretch = NAMED_NONE) -> RestOffset:
-    """Return the same from corrected chunks, reading no more of them than needed."""
+def find_rest_offset_in(
+    chunks: Iterator[Record], stretch: Stretch = NAMED_NONE, model: TriadModel | None = None
+) -> RemainingOffset:
+    """Return the offset at the first or a given rest from corrected chunks, reading no more of them than needed."""
     start_s, stop_s = stretch
     has_bounds = start_s is not None and stop_s is not None and start_s < stop_s
     head: list[Record] = []
@@ -182,7 +219,7 @@ def find_rest_offset_in(chunks: Iterator[Record], stretch: Stretch = NAMED_NONE)
             break
     if not head:
         raise InputError("rest: the recording has no samples. Check the file.")
-    return find_rest_offset(joined(head), stretch)
+    return find_rest_offset(joined(head), stretch, model)
 
 
 def _first_rests(record: Record, what: str) -> tuple[Still, ...]:

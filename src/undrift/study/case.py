@@ -18,7 +18,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.correction.correct import correct_whole, offset_left
+from undrift.correction.correct import correct_whole
+from undrift.correction.motion import fit_motion
 from undrift.correction.rest import LEAST_IN_MOTION_S, rest_offset
 from undrift.errors import Implausible
 from undrift.frames import integrate_strapdown
@@ -193,7 +194,7 @@ def pitch_errors_deg(case: Case, calibration: Calibration, offset: OffsetRule) -
     if offset == "rest" or (offset == "motion" and record.duration_s < LEAST_IN_MOTION_S):
         rates = rates - rates[rest].mean(axis=0)
     elif offset == "motion":
-        remainder = offset_left(record, "motion", rest_offset(record, case.still), calibration.gyro)
+        remainder = fit_motion(record, rest_offset(record, case.still), calibration.gyro).offset
         rates = rates - remainder.at(record.time)
     start = case.still.stop - 1  # the tilt of the rest holds at its end, and strapdown begins there
     pitch = sagittal_pitch(integrate_strapdown(rates[start:], record.time[start:], shortest_rotation_up(upward)))

@@ -29,8 +29,8 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.base.summary import Shown
 from undrift.calibration.triads import check_triads
-from undrift.correction.correct import OffsetLeft, correct_checked, offset_left
-from undrift.correction.rest import IN_MOTION, RestOffset, known_rest_offset, mean_variance
+from undrift.correction.correct import correct_checked
+from undrift.correction.rest import IN_MOTION, RemainingOffset, find_offset, mean_variance
 from undrift.errors import AlignmentError, InputError, check_choices
 from undrift.findings import Finding, finding
 from undrift.frames import (
@@ -244,7 +244,7 @@ class Trial(Shown):
     reference_pitch: FloatArray  # rad
     moving: FloatArray  # 1 within the motion
     expected: Expected | None = None  # None without a calibration that states its covariance
-    rest: OffsetLeft | None = None  # offset that was subtracted
+    rest: RemainingOffset | None = None  # offset that was subtracted
 
     def __post_init__(self) -> None:
         for name in ("time", "sensor_pitch", "reference_pitch", "moving"):
@@ -442,13 +442,17 @@ def _check_scale(name: str, lag: Lag) -> None:
 
 def _without_offset(
     record: Record, offset: OffsetChoice, model: TriadModel | None
-) -> tuple[Record, OffsetLeft | None, tuple[Finding, ...]]:
+) -> tuple[Record, RemainingOffset | None, tuple[Finding, ...]]:
     """Subtract the remaining offset, of the first still phase or from motion."""
-    rest = None if offset == "none" else known_rest_offset(record)
-    if offset == "none" or (offset == "rest" and rest is None):
+    if offset == "none":
+        return record, None, ()
+    try:
+        remainder = find_offset(record, offset, model)
+    except InputError as error:
+        if error.numbers.get("missing") != "rest":
+            raise
         what = "the offset of the gyroscopes is not removed, but it can be determined from motion"
-        return record, None, () if offset == "none" else (finding("validate.no_rest", "warn", what=what),)
-    remainder = offset_left(record, offset, rest, model)
+        return record, None, (finding("validate.no_rest", "warn", what=what),)
     return replace(record, gyro=np.asarray(record.gyro) - remainder.at(record.time)), remainder, ()
 
 
@@ -553,7 +557,7 @@ def _strapdown(
     rotation = np.eye(3) if mounting is None or not mounting.applied else mounting.rotation
     rotation = rotation if settings.mounting is None else rotation @ settings.mounting.matrix
     offset_covariance, offset_prior = np.diag(variance), np.zeros(3)
-    if subtracted is not None and not isinstance(subtracted, RestOffset):
+    if subtracted is not None and subtracted.prior is not None:
         offset_covariance = rotation @ subtracted.covariance.mean(axis=0) @ rotation.T
         offset_prior = np.sqrt(np.diag(rotation @ np.diag(subtracted.prior**2) @ rotation.T))
     angle_left_in = 0.0 if mounting is None or mounting.applied else mounting.angle

@@ -197,7 +197,7 @@ class Recordings:
             texts[offset] = outcome.error or "nothing is subtracted"
             if outcome.done and (rest := outcome.answer["recordings"][0]["rest"]):
                 rates, uncertainty = rest["offset_dps"], rest["offset_uncertainty_dps"]
-                within = 2.0 * math.hypot(*(uncertainty if isinstance(uncertainty, list) else [uncertainty]))
+                within = 2.0 * math.hypot(*uncertainty)
                 listing = ", ".join(f"{round(rate, 3) + 0.0:.3f}" for rate in rates)  # no -0.000
                 texts[offset] = f"{listing} deg/s about x, y, z, within {within:.2g} (95 %)"
         self.offsets = {stored.path: texts}
