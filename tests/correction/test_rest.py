@@ -160,7 +160,7 @@ def test_correct_orient_and_validate_subtract_the_mean_of_the_same_rest():
     assert done.rest.rest_s == judged.rest.rest_s
     assert done.rest.rest_s == (time[oriented.still.start], time[oriented.still.stop - 1])
     np.testing.assert_allclose(judged.rest.rate, done.rest.rate, rtol=0.0, atol=1e-12)
-    np.testing.assert_allclose(oriented.offset, done.rest.rate, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(oriented.offset, done.rest.mean, rtol=0.0, atol=1e-12)
 
 
 def test_rows_that_fill_a_file_up_are_named_and_are_no_rest_on_any_route():
