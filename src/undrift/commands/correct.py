@@ -315,7 +315,7 @@ def _correct_one(
                 rests, rms = _compare_rests(chunk, done.record, model)
             written.result()
             written = pool.submit(write, done.record)
-            notes.update(dict.fromkeys((*left_out, *(item.text for item in done.findings if item.level == "info"))))
+            notes.update(dict.fromkeys((*left_out, *done.notes)))
             progress(record.name, stream.state.reach.samples / total if total else READ)
         written.result()
     suspicions = (

@@ -144,6 +144,11 @@ class Corrected:
         """Texts of the findings of level warn."""
         return tuple(item.text for item in self.findings if item.level == "warn")
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Texts of the findings of level info."""
+        return tuple(item.text for item in self.findings if item.level == "info")
+
 
 def correct(
     record: Record,
