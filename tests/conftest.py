@@ -42,7 +42,6 @@ def skipped_without_gcc() -> Generator[None, object, object]:
 def shared(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Callable[..., object], Callable[..., object]]]:
     """Pure functions whose results tests share, each with one that remembers."""
     from undrift.calibration.reference import align
-    from undrift.drift.fit import choose_tables
     from undrift.study.figure3 import calibrated, figure3
     from undrift.sync import find_lag, in_step, native_poses
     from undrift.twin.fit import fit_prepared
@@ -50,7 +49,7 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Callable[...,
     from undrift.validation.trial import validate_trial
 
     poses = native_poses, find_lag, in_step, align
-    fits = choose_tables, fit_prepared, calibrated
+    fits = fit_prepared, calibrated
     folder = run_folder(tmp_path_factory)
     return [
         (pure, remembered(pure, folder)) for pure in (*poses, *fits, figure3, validate_trial, validate_leave_one_out)

@@ -132,10 +132,11 @@ def test_the_bars_of_a_calibration_are_its_matrix_over_the_mean_gain(shown):
 
 
 def test_what_has_nothing_to_draw_is_refused():
+    nothing = Calibration(device="", reference_temp_c=25.0, gravity_m_s2=9.81)
     with pytest.raises(InputError, match="plot: expected a calibrated gyroscope or accelerometer, got neither"):
-        Calibration(device="", reference_temp_c=25.0, gravity_m_s2=9.81).plot()
+        nothing.plot()
     with pytest.raises(InputError, match="plot: expected offsets over temperature, got none"):
-        at("undrift.report.drift:draw_drift")(type("Fit", (), {"gyro_summary": None, "accel_summary": None}))
+        at("undrift.report.drift:draw_drift")(type("Fit", (), {"calibration": nothing}))
 
 
 # ---- zeros

@@ -1,6 +1,6 @@
 """From thermal sessions to tuning tables: every way a session may come, what is said of it, what is refused.
 
-Which tables a device needs.
+Both tables of turns predict soaks that were left out.
 
 Tables of a narrower range are those of the wide one there.
 """
@@ -18,15 +18,14 @@ from testkit.soaks import a_record_for_each_visit, without_temperature
 from undrift.commands.drift import drift_summary
 from undrift.correction.correct import correct, correct_checked
 from undrift.drift.fit import (
-    ALTERNATIVES,
     DriftSettings,
     _accelerometers,
-    choose_tables,
     fit_drift,
     table_nodes,
 )
 from undrift.drift.observe import RestBlocks
 from undrift.drift.offset import StaticSettings
+from undrift.drift.rates import fit_dynamic, fit_scale, measured_rate, prepared
 from undrift.drift.verdict import without_tables
 from undrift.errors import InputError, NotObservable
 from undrift.export.constants import pair_at
@@ -81,7 +80,7 @@ def fit(session):
 
 
 def test_soaks_up_and_down_are_good_and_every_table_covers_what_the_offsets_cover(fit):
-    assert fit.choice.verdict.status == "good", fit.choice.verdict.reasons
+    assert fit.scale.verdict.status == fit.dynamic.verdict.status == "good"
     assert not [item for item in fit.static.verdict.findings if item.level != "info"]
     assert fit.verdict.status == "good"
     drift = fit.calibration.drift
@@ -150,15 +149,19 @@ def test_sessions_over_days_state_how_far_the_offset_moves_between_switch_ons():
     shifts = rng.normal(0.0, SHIFT_DPS, (6, 3))
     days = [warmed(20 + k, shift_dps=tuple(shift)) for k, shift in enumerate(shifts)]
     one, six = fit_drift(days[:1], CALIBRATION), fit_drift(days, CALIBRATION)
-    assert one.gyro_summary.turn_on is None
-    turn_on = np.degrees(six.gyro_summary.turn_on)
+    assert one.static.gyro.turn_on is None
+    per_raw = np.degrees(CALIBRATION.gyro.si_per_reading("rate"))
+    turn_on = np.sqrt(six.static.gyro.turn_on.variance) * per_raw
     show("scatter between six sessions, deg/s", np.round(turn_on, 3), np.round(shifts.std(axis=0, ddof=1), 3))
     np.testing.assert_allclose(turn_on, shifts.std(axis=0, ddof=1), rtol=0.15)
-    stated = np.degrees(six.gyro_summary.usual_uncertainty)
+    stated, alone = (
+        np.median(fitted.static.gyro.uncertainty[~fitted.static.gyro.extrapolated], axis=0) * per_raw
+        for fitted in (six, one)
+    )
     # a session to come has a shift of its own, and six know its size badly: more than the scatter, less than twice
     assert (stated > turn_on).all()
     assert (stated < 2.0 * turn_on).all()
-    assert (stated > 5.0 * np.degrees(one.gyro_summary.usual_uncertainty)).all()
+    assert (stated > 5.0 * alone).all()
     assert any("Turn-on" in item.text for item in one.verdict.findings)
     assert not any("Turn-on" in item.text for item in six.verdict.findings)
 
@@ -182,19 +185,16 @@ def test_a_lag_that_is_stated_comes_with_the_smoothing_that_it_needs(session):
         assert fitted.lag is None
 
 
-def test_tables_that_are_requested_are_taken_and_the_choice_is_reported(session):
+def test_only_the_tables_that_are_wanted_are_made(session):
     taken = fit_drift([session], CALIBRATION, settings=DriftSettings(tables="dynamic"))
     drift = taken.calibration.drift
     assert drift.dynamic is not None
     assert (drift.dynamic.temp_c[0], drift.dynamic.temp_c[-1]) == (drift.static.temp_c[0], drift.static.temp_c[-1])
     assert drift.dynamic.extrapolated[0].all()
-    assert taken.calibration.drift.scale is None or taken.calibration.drift.scale.gyro_matrix is None
-    assert any("Tables requested: dynamic" in reason for reason in taken.verdict.reasons)
+    assert drift.scale is None
     none = fit_drift([session], CALIBRATION, settings=DriftSettings(tables="none"))
-    assert none.calibration.drift.dynamic is None
-    assert none.choice.chosen == "none"
-    with pytest.raises(NotObservable, match="scale was requested"):
-        fit_drift([warmed(80)], CALIBRATION, settings=DriftSettings(tables="scale"))
+    assert none.calibration.drift.scale is none.calibration.drift.dynamic is None
+    assert none.scale is not None
 
 
 def test_a_second_thermal_fit_takes_the_place_of_the_first(session, fit):
@@ -216,7 +216,7 @@ def test_six_faces_at_each_soak_determine_the_accelerometers_and_one_pose_is_not
     six = fit_drift([made(settings=replace(QUICK_SOAKS, faces="six"))], CALIBRATION)
     assert six.accel is not None
     assert fit.accel is None
-    assert six.accel_summary is not None
+    assert six.calibration.drift.static.accel_offset is not None
     missing = [item.text for item in fit.verdict.findings if item.code == "drift.not_observable"]
     assert any("Accelerometer matrix" in text for text in missing)
     assert "drift.accel_one_pose" in {item.code for item in fit.verdict.findings}
@@ -231,7 +231,7 @@ def test_without_a_calibration_physical_units_keep_their_scale():
     assert found.calibration.gyro.method == "nominal"
     assert "calibration.nominal" in {item.code for item in found.verdict.findings}
     assert any("Turn the device" in reason for reason in found.verdict.reasons)
-    low, high = found.gyro_summary.seen_c
+    low, high = found.static.gyro.span_c
     assert found.calibration.reference_temp_c == pytest.approx(np.clip(25.0, low, high), abs=0.5)  # a node
     assert low - 0.5 <= found.calibration.reference_temp_c <= high + 0.5
     with pytest.raises(NotObservable, match="no known scale"):
@@ -315,7 +315,6 @@ def test_a_narrower_range_has_the_same_offsets(session, fit):
     wanted = [np.interp(cut.temp_c, whole.temp_c, column) for column in whole.gyro_offset.T]
     np.testing.assert_allclose(cut.gyro_offset, np.array(wanted).T, rtol=1e-9, atol=1e-12)
     assert not any(item.code == "drift.narrow_span" for item in asked.verdict.findings)
-    np.testing.assert_array_equal(asked.gyro_summary.temp_c, cut.temp_c)
 
 
 def test_a_session_given_twice_is_refused(session):
@@ -343,77 +342,74 @@ def device(seed, **changes):
     return replace(made, gyro=replace(made.gyro, nonlinearity=None, **changes))
 
 
-def chosen(made, seed=0, temps=TEMPS, steps=None, **kept):
+def fitted(made, seed=0, temps=TEMPS, steps=None):
+    """Return matrix and dynamic drift of computed steps, and the steps."""
     if steps is None:
-        steps = computed(made, temps, np.random.default_rng(seed + 100), rates=FEW, noise_dps=0.008, **kept)
-    table = true_tables(made, NODES, np.radians([-90.0, 90.0])).static
-    return choose_tables(steps, true_calibration(made), static=table, temp_c=NODES)
+        steps = computed(made, temps, np.random.default_rng(seed + 100), rates=FEW, noise_dps=0.008)
+    static, truth = true_tables(made, NODES, np.radians([-90.0, 90.0])).static, true_calibration(made)
+    clean = prepared(steps, truth, static=static)
+    scale = fit_scale(clean, truth, temp_c=NODES)
+    return clean, scale, fit_dynamic(clean, truth, span_c=(18.0, 75.0), scale=scale.drift)
 
 
 @pytest.mark.parametrize(
-    ("name", "changes"),
+    "changes",
     [
-        ("none", {"thermal_scale": None, "rate_drift": None}),
-        ("scale", {"rate_drift": None}),
-        ("dynamic", {"thermal_scale": None, "rate_drift": RateDrift(coefficients=CUBIC)}),
-        ("scale + dynamic", {"rate_drift": RateDrift(coefficients=CUBIC)}),
+        {"thermal_scale": None, "rate_drift": None},
+        {"rate_drift": None},
+        {"thermal_scale": None, "rate_drift": RateDrift(coefficients=CUBIC)},
+        {"rate_drift": RateDrift(coefficients=CUBIC)},
     ],
 )
 @pytest.mark.parametrize("devices", [1, pytest.param(2, marks=pytest.mark.slow)])
-def test_a_device_gets_the_tables_that_it_needs(name, changes, devices):
+def test_both_tables_predict_a_soak_that_was_left_out_whether_a_device_needs_them_or_not(changes, devices):
     for seed in range(devices):
-        choice = chosen(device(seed, **changes), seed)
-        show(f"{name}: left out, deg/s rms of {', '.join(ALTERNATIVES)}", np.round(choice.left_out_rms_dps, 4))
-        assert choice.chosen == name
-        counts = ("tables", "held_out", "soaks", "set_points")
-        assert [choice.why.values[value] for value in counts] == [name, 5, 7, 7]
-        assert choice.why.text in choice.verdict.reasons
-        assert (choice.scale_drift is not None) == ("scale" in name)
-        assert (choice.dynamic_drift is not None) == ("dynamic" in name)
+        made, truth = device(seed, **changes), true_calibration(device(seed, **changes))
+        clean, *_ = fitted(made, seed)
+        static, left = true_tables(made, NODES, np.radians([-90.0, 90.0])).static, []
+        assert static is not None
+        for soak in range(1, len(TEMPS) - 1):
+            out, rest = (clean.taken(rows) for rows in (clean.soak == soak, clean.soak != soak))
+            scale = fit_scale(rest, truth, temp_c=NODES)
+            dynamic = fit_dynamic(rest, truth, span_c=(18.0, 75.0), scale=scale.drift)
+            rate = measured_rate(out.reading, out.temp_c, truth, scale.drift)
+            error = rate - out.rate_b
+            for axis, surface in enumerate(dynamic.surfaces):
+                error[:, axis] -= surface.at(rate[:, axis], out.temp_c)
+            for mounting in np.unique(out.mounting):
+                error[out.mounting == mounting] -= error[out.mounting == mounting].mean(axis=0)
+            left.append(error)
+        rms = float(np.degrees(np.sqrt(np.mean(np.square(left)))))
+        show("left out, deg/s rms", f"{rms:.4f}", 1.25 * 0.008)
         # The noise of the means is 0.008 deg/s, and no table predicts better; six soaks of 18 rates give
         # the surface of the seventh to half of that: hypot(1, 0.5) = 1.12, and 1.25 with room for the draw.
-        assert choice.left_out_rms_dps[ALTERNATIVES.index(name)] < 1.25 * 0.008
-
-
-def test_soaks_of_one_set_point_are_counted_once_as_set_points():
-    # Each set-point twice, as axis by axis or on the way back: of three the middle one alone lies between others.
-    choice = chosen(device(0, rate_drift=None), temps=np.array([25.0, 35.0, 45.0, 45.3, 34.8, 25.1]))
-    counts = ("held_out", "soaks", "set_points")
-    assert [choice.why.values[name] for name in counts] == [2, 6, 3]
-    assert "(2 of 6 soaks at 3 set-points left out in turn)" in choice.why.text
-    two = chosen(device(0, rate_drift=None), temps=np.array([25.0, 45.0, 45.3, 25.1]))
-    assert [two.why.values[name] for name in counts] == [0, 4, 2]
-    assert "drift.tables_unjudged" in {item.code for item in two.verdict.findings}
+        assert rms < 1.25 * 0.008
 
 
 def test_one_soak_is_refused_with_its_temperature():
     with pytest.raises(NotObservable, match=r"two soaks or more, got 1"):
-        chosen(device(0), temps=np.array([25.0]))
+        fitted(device(0), temps=np.array([25.0]))
 
 
 def test_soaks_that_turned_different_axes_are_refused():
     made = device(0)
     steps = computed(made, TEMPS[:2], np.random.default_rng(1), rates=FEW)
     axis = np.abs(steps.rate_b).argmax(axis=1)
-    with pytest.raises(NotObservable, match="36 steps at 2 soaks"):
-        chosen(made, steps=steps.taken(axis == steps.soak))
+    with pytest.raises(NotObservable, match="two soaks or more"):
+        fitted(made, steps=steps.taken(axis == steps.soak))
 
 
-def test_rates_of_one_sign_and_a_missing_axis_still_give_a_choice():
+def test_rates_of_one_sign_and_a_missing_axis_still_give_tables():
     made = device(0, rate_drift=None)
     steps = computed(made, TEMPS, np.random.default_rng(1), rates=FEW, noise_dps=0.008, axes=(0, 2))
-    choice = chosen(made, steps=steps.taken(steps.rate_b.sum(axis=1) > 0.0))
-    assert choice.chosen == "scale"
-    assert any("Scale factor y" in item.text for item in choice.verdict.findings if item.code == "drift.not_observable")
+    _, scale, dynamic = fitted(made, steps=steps.taken(steps.rate_b.sum(axis=1) > 0.0))
+    assert any("Scale factor y" in item.text for item in scale.verdict.findings if item.code == "drift.not_observable")
+    assert any("Dynamic drift y" in item.text for item in dynamic.verdict.findings)
 
 
 def test_a_missing_table_has_its_reason():
-    choice, _ = one_way(0, TEMPS)
-    assert [*choice.fits] == ["none", "scale"]
-    (why,) = [item for item in choice.verdict.findings if item.code == "drift.not_observable"]
-    assert "dynamic drift: no axis" in why.text
     with pytest.raises(NotObservable, match="dynamic drift: no axis"):
-        one_way(0, TEMPS, tables="dynamic")
+        one_way(0, TEMPS, dynamic=True)
 
 
 def test_poses_that_leave_parameters_of_the_accelerometers_open_are_named(fit):
@@ -429,14 +425,13 @@ def test_poses_that_leave_parameters_of_the_accelerometers_open_are_named(fit):
 def test_the_dynamic_table_spans_what_the_matrix_table_spans():
     made = device(0)
     steps = computed(made, TEMPS[1:-1], np.random.default_rng(1), rates=FEW, noise_dps=0.008)
-    choice = chosen(made, steps=steps)
-    for fit in (choice.fits["dynamic"][1], choice.fits["scale + dynamic"][1]):
-        assert np.array_equal(fit.drift.temp_c, [18.0, *np.arange(20.0, 71.0, 5.0), 75.0])
-        assert fit.drift.extrapolated[[0, -1]].all()
-    assert choice.scale.drift.gyro_extrapolated[[0, -1]].all()
+    _, scale, dynamic = fitted(made, steps=steps)
+    assert np.array_equal(dynamic.drift.temp_c, [18.0, *np.arange(20.0, 71.0, 5.0), 75.0])
+    assert dynamic.drift.extrapolated[[0, -1]].all()
+    assert scale.drift.gyro_extrapolated[[0, -1]].all()
 
 
-def one_way(seed, temps, *, scatter_dps=0.0, tables="auto"):
+def one_way(seed, temps, *, scatter_dps=0.0, dynamic=False):
     """One rate one way round about each axis at each soak, a rest before each, and a scale 0.5 % and 8 ppm/degC off."""
     rng = np.random.default_rng(seed)
     made = device(seed, thermal_scale=ThermalScale(per_k=np.full((1, 3), 8e-6)), rate_drift=None, g_sensitivity=None)
@@ -457,34 +452,22 @@ def one_way(seed, temps, *, scatter_dps=0.0, tables="auto"):
         gyro_variance=resting.gyro_variance, accel_variance=np.full((n, 3), 1e-4),
     )  # fmt: skip
     table = true_tables(made, NODES, np.radians([-90.0, 90.0]))
-    choice = choose_tables(steps, kept, static=table.static, temp_c=NODES, rests=rests, tables=tables)
-    return choice, table.scale.gyro_matrix
+    clean = prepared(steps, kept, static=table.static, rests=rests)
+    if dynamic:
+        return fit_dynamic(clean, kept, span_c=(18.0, 75.0))
+    return fit_scale(clean, kept, temp_c=NODES).drift, table.scale.gyro_matrix
 
 
-def test_one_rate_one_way_round_chooses_the_scale_by_the_rest_of_its_soak_and_recovers_it():
+def test_one_rate_one_way_round_recovers_the_scale_by_the_rest_of_its_soak():
     inside = []
     for seed in range(6):
-        choice, true = one_way(seed, TEMPS, scatter_dps=0.02)
-        assert choice.chosen == "scale"
-        # 0.5 % of 50 deg/s on the axis that turns; over all three that is 1 / sqrt(3)
-        assert choice.left_out_rms_dps[0] == pytest.approx(0.25 / 3.0**0.5, rel=0.15)
-        assert choice.left_out_rms_dps[1] < 0.02
-        drift = choice.scale_drift
+        drift, true = one_way(seed, TEMPS, scatter_dps=0.02)
         error = np.diagonal(drift.gyro_matrix - true, axis1=1, axis2=2)
         inside.append((np.abs(error) <= 1.96 * np.diagonal(drift.gyro_uncertainty, axis1=1, axis2=2)).mean())
         assert (
             np.abs(error / np.diagonal(true, axis1=1, axis2=2)).max() < 6e-4
         )  # 0.004 of 50 deg/s twice, and extrapolated
     assert np.mean(inside) >= 0.85  # eighteen curves; 0.95 but for three of them
-
-
-def test_one_rate_at_two_soaks_cannot_be_judged_and_keeps_the_line_with_a_finding():
-    choice, _ = one_way(0, np.array([25.0, 45.0]))
-    assert choice.chosen == "scale"
-    why = choice.why
-    assert (why.code, why.values["set_points"]) == ("drift.tables_unjudged", 2)
-    assert why.values["constant_dps"] == pytest.approx(0.25 / 3.0**0.5, rel=0.15)
-    assert choice.verdict.status == "marginal"
 
 
 def test_the_nodes_reach_the_ends_of_the_notes_range_if_these_are_near():

@@ -74,7 +74,8 @@ def test_two_weeks_of_daily_recordings_give_the_offset_over_temperature(two_week
 
 
 def test_the_scatter_between_switch_ons_is_found(fitted):
-    turn_on = fitted.gyro_summary.turn_on / DPS
+    model = fitted.calibration.gyro
+    turn_on = np.sqrt(fitted.static.gyro.turn_on.variance) * model.si_per_reading("rate") / DPS
     show("between switch-ons, deg/s", turn_on, "drawn with 0.03, and ageing of 0.02 in 30 days")
     assert (np.abs(turn_on - 0.03) < 0.012).all()  # two standard errors of a deviation from fourteen
 

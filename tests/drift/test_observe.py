@@ -213,8 +213,9 @@ def test_rows_with_a_rate_give_the_scale_over_temperature():
     temps[0] = np.nan  # a first row without temperature
     steps = observe_steps([session], temperatures=[[temps]])
     np.testing.assert_array_equal(steps.soak, fit.steps.soak)
-    assert fit.scale_summary is not None
-    slope = np.polyfit(fit.scale_summary.soak_temp_c, fit.scale_summary.soak_percent[:, 2], 1)[0]
+    assert fit.scale is not None
+    scale = fit.scale.soaks.forward[:, 2, 2]
+    slope = np.polyfit(fit.scale.soaks.temp_c, 100.0 * scale / scale.mean(), 1)[0]
     # 0.01 % per degC is simulated; a soak knows its scale to 0.003 deg/s over 90 deg/s, eleven of them over 50 degC
     assert slope == pytest.approx(0.01, abs=3e-4)
 

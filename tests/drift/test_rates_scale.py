@@ -47,14 +47,6 @@ def test_the_matrix_of_a_device_without_noise_comes_back_at_every_node():
     assert fit.verdict.status == "good"
 
 
-def test_the_thermal_sensitivity_is_that_of_the_device_in_percent_per_kelvin():
-    made = device()
-    fit, _ = fitted(made, noise_dps=0.01)
-    expected = 100.0 * made.gyro.thermal_scale.per_k[0]
-    assert np.abs(fit.percent_per_k - expected).max() < 4.0 * fit.percent_per_k_uncertainty.max()
-    assert fit.percent_per_k_uncertainty.max() < 1e-3
-
-
 def test_an_offset_that_the_table_does_not_know_leaves_the_matrix_alone():
     made = device()
     steps = computed(made, SOAKS, np.random.default_rng(1), rates=FEW, noise_dps=1e-6)
@@ -77,7 +69,6 @@ def test_an_axis_that_was_never_turned_keeps_its_column_without_uncertainty():
     fit, truth = fitted(made, axes=(0, 2))
     assert np.isnan(fit.drift.gyro_uncertainty[:, :, 1]).all()
     assert np.isfinite(fit.drift.gyro_uncertainty[:, :, [0, 2]]).all()
-    assert np.isnan(fit.percent_per_k[1])
     scale = truth.scale.gyro_matrix[:, 0, 0]
     # The other columns come back up to the product of two cross-axis terms, 1e-4, and the missing sensitivity, 10 %.
     assert np.abs(fit.drift.gyro_matrix - truth.scale.gyro_matrix)[:, [0, 2], [0, 2]].max() < 1e-4 * scale.max()

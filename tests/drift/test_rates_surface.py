@@ -30,8 +30,8 @@ def points(noise=1e-4, temps=TEMPS, rates=RATES, offset=0.0, seed=0):
     )
 
 
-def fitted(given, **more):
-    return fit_surface(given, rate_span=(-1.6, 1.6), temp_span=(20.0, 70.0), **more)
+def fitted(given):
+    return fit_surface(given, rate_span=(-1.6, 1.6), temp_span=(20.0, 70.0))
 
 
 def test_the_splines_reproduce_a_cubic_and_its_roughness():

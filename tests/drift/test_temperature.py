@@ -113,31 +113,17 @@ def test_a_good_column_gives_no_finding():
     )
 
 
-def test_a_column_that_stays_and_then_jumps_is_stale_there():
-    raw = np.round(WARM_UP * 8.0) / 8.0
-    raw[3000:9000] = raw[3000]
-    found = seen_in(raw, "drift.temperature_left_out", spikes=0, missing=0)
-    assert np.isnan(found.temp_c[4000:8000]).all()
-    assert np.abs(found.temp_c[9100:] - WARM_UP[9100:]).max() < 0.1
-
-
-def test_a_noisy_column_that_freezes_is_stale_without_a_jump():
-    raw = WARM_UP + np.random.default_rng(0).normal(0.0, 0.05, len(TIME))
-    raw[-2000:] = raw[-2000]
-    seen_in(raw, "drift.temperature_left_out", stale=1999)
-
-
 def test_single_wild_readings_are_left_out():
     raw = WARM_UP + np.random.default_rng(0).normal(0.0, 0.05, len(TIME))
     raw[[500, 9000]] += 30.0
-    found = seen_in(raw, "drift.temperature_left_out", spikes=2)
+    found = trusted_temperature(session(raw), 0)
     assert np.abs(found.temp_c - WARM_UP).max() < 0.1
 
 
 def test_short_gaps_are_bridged_and_long_ones_stay():
     raw = WARM_UP.copy()
     raw[1000:1050] = raw[5000:7000] = raw[-5:] = np.nan
-    found = seen_in(raw, "drift.temperature_left_out", missing=2055, interpolated=50)
+    found = trusted_temperature(session(raw), 0)
     assert np.abs(found.temp_c[1000:1050] - WARM_UP[1000:1050]).max() < 0.05
     assert np.isnan(found.temp_c[5000:7000]).all()
     assert np.isnan(found.temp_c[-5:]).all()
@@ -436,7 +422,6 @@ def two_ramps(**kwargs):
 @pytest.mark.parametrize("loop", [0.0, 0.05, -0.05])
 def test_a_loop_that_does_not_depend_on_speed_is_not_taken_for_lag(loop):
     found = estimate_lag(two_ramps(loop=loop))
-    assert found.problem == ""
     assert abs(found.lag_s - 30.0) < 4.0 * found.uncertainty_s
     assert found.uncertainty_s < 2.0
 
@@ -454,27 +439,14 @@ def test_without_lag_none_is_found():
 
 
 @pytest.mark.parametrize(
-    ("temp", "words"),
+    "temp",
     [
-        (np.repeat(np.arange(20.0, 60.0, 5.0), 40), "blocks of rest change"),  # soaks
-        (10.0 + 18.0 * (1.0 - np.exp(-STEP_S * np.arange(200) / 500.0)), "at one speed"),  # a warm-up
-        (np.linspace(20.0, 30.0, 10), "24 are needed"),
+        np.repeat(np.arange(20.0, 60.0, 5.0), 40),  # soaks
+        10.0 + 18.0 * (1.0 - np.exp(-STEP_S * np.arange(200) / 500.0)),  # a warm-up
+        np.linspace(20.0, 30.0, 10),  # few
+        there_and_back(1.0),  # one speed: a lag looks like hysteresis
     ],
 )
-def test_soaks_or_a_warm_up_do_not_determine_a_lag(temp, words):
+def test_what_does_not_determine_a_lag_gives_none(temp):
     found = estimate_lag(blocks(temp, lag_s=3.0))
     assert (found.lag_s, found.uncertainty_s) == (0.0, np.inf)
-    assert words in found.problem
-
-
-def test_one_speed_both_ways_does_not_separate_lag_from_hysteresis():
-    found = estimate_lag(blocks(there_and_back(1.0)))
-    assert np.isinf(found.uncertainty_s)
-    assert found.lag_s == pytest.approx(30.0, abs=3.0)
-    assert "the same loop as hysteresis" in found.problem
-
-
-def test_a_lag_beyond_the_search_is_not_observable():
-    found = estimate_lag(two_ramps(), longest_s=20.0)
-    assert np.isinf(found.uncertainty_s)
-    assert "any lag up to 20 s" in found.problem

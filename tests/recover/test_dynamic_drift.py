@@ -14,7 +14,6 @@ from testkit.data import show
 from testkit.rate_steps import GRAVITY, GRID, SOAKS, computed, reading, soaked, table_motion
 from undrift.calibration.calibrate import calibrate
 from undrift.correction.correct import correct_checked
-from undrift.drift.fit import choose_tables
 from undrift.drift.observe import RestBlocks
 from undrift.drift.rates import DynamicFit, fit_dynamic, fit_scale, prepared
 from undrift.fit.curve import not_a_knot
@@ -92,10 +91,10 @@ def test_the_compensated_rate_error_is_near_that_of_the_true_tables(seed: int) -
     bench = BenchSettings(turn_rates=tuple(GRID[::4]), dwell_s=1.5)
     constant = calibrate(simulate_session("bench", device, rng=rng, settings=bench))
     static = static_of(rests)
-    choice = choose_tables(steps, constant, static=static, temp_c=NODES, rests=rests)
-    tables = DriftTables(static=static, scale=choice.scale_drift, dynamic=choice.dynamic_drift)
-    show(f"device {seed}: none, scale, dynamic, both left out, deg/s rms", np.round(choice.left_out_rms_dps, 4))
-    show(f"device {seed}: chosen", choice.why.text)
+    clean = prepared(steps, constant, static=static, rests=rests)
+    scale = fit_scale(clean, constant, temp_c=NODES).drift
+    dynamic = fit_dynamic(clean, constant, span_c=(18.0, 75.0), scale=scale).drift
+    tables = DriftTables(static=static, scale=scale, dynamic=dynamic)
     calibrations = [
         constant,
         replace(constant, drift=DriftTables(static=static)),

@@ -1,6 +1,7 @@
 """Pages and pictures of thermal fits: drawn without a warning, with their names and units, and cells to the right digit."""
 
-from dataclasses import replace
+import re
+from functools import cache
 
 import numpy as np
 import pytest
@@ -8,54 +9,56 @@ from matplotlib.colors import to_hex
 
 from testkit.pictures import cut_texts
 from undrift.base.summary import plus_minus
-from undrift.commands.drift import choice_rows, offset_rows, offset_title, shown_unit
-from undrift.drift.fit import Choice
-from undrift.drift.verdict import ScaleSummary, TriadSummary
-from undrift.findings import finding
-from undrift.model import DynamicDrift, Verdict
-from undrift.report.drift import draw_alternatives, draw_dynamic, draw_offsets, draw_scale
+from undrift.commands.drift import offset_rows, offset_title, scale_rows, shown_unit, summarise
+from undrift.drift.fit import fit_drift
+from undrift.model import DynamicDrift
+from undrift.report.drift import draw_dynamic, draw_offsets, draw_scale
 from undrift.report.figures import svg_of
+from undrift.sim.device.presets import preset
+from undrift.sim.device.truth import true_calibration
+from undrift.sim.motion.bench import BenchSettings
+from undrift.sim.thermal import ChamberSettings, ThermalSettings, simulate_thermal_session
 
-NODES = np.arange(18.0, 30.1, 0.5)
+BENCH = BenchSettings(
+    sample_rate_hz=50.0, still_s=6.0, move_s=1.0, turn_rates=tuple(np.radians((30.0, 60.0, 90.0))), dwell_s=1.5
+)
+CHAMBER = ChamberSettings(ramp_rate_c_per_min=20.0, air_lag_s=5.0, board_lag_s=10.0, soak_hold_s=300.0)
+SETTINGS = ThermalSettings(bench=BENCH, chamber=CHAMBER, set_points_c=(18.0, 37.0, 56.0, 75.0), back=True, faces="six")
 
 
-def summary(**changes):
-    n, k = len(NODES), 40
-    made = TriadSummary(
-        unit="rad/s",
-        seen_c=(20.0, 28.0),
-        temp_c=NODES,
-        against="the constant offset",
-        departure=np.radians(np.outer(NODES - 18.0, [0.1, -0.1, 0.2])),
-        uncertainty=np.radians(np.full((n, 3), 0.01)),
-        extrapolated=(NODES < 19.5) | (NODES > 28.5),
-        slope=np.radians([0.1, -0.1, 0.2]),
-        slope_uncertainty=np.radians([0.012, 0.0012, 0.1]),
-        half_loop=np.radians([0.05, 0.0, -0.05]),
-        half_loop_uncertainty=np.radians([0.004, 0.004, 0.004]),
-        turn_on=np.radians([0.1, 0.1, 0.1]),
-        block_temp_c=np.linspace(20.0, 28.0, k),
-        block_departure=np.radians(np.random.default_rng(1).normal(0.0, 0.1, (k, 3))),
-        block_cooling=np.repeat([0.0, -1.0, 1.0, 0.5], 10),
-    )
-    return replace(made, **changes)
+@cache
+def soaked():
+    """A fit of soaks up and down on six faces."""
+    device = preset("enc03j_3031")
+    made = simulate_thermal_session("soak", device, rng=np.random.default_rng(1), settings=SETTINGS)
+    return fit_drift([made], true_calibration(device))
+
+
+@cache
+def summary(sensor="gyro"):
+    return summarise(soaked(), sensor)
 
 
 def test_rows_are_in_the_units_that_people_read():
     rows = offset_rows(summary())
     assert [*rows[0]][1] == "slope (deg/s per degC)"
+    assert [*rows[0]][3] == "hysteresis half-width (deg/s)"
     assert all(row.keys() == rows[0].keys() for row in rows)
-    assert [*rows[0].values()] == ["x", "+0.100 +- 0.012", "0.01", "+0.0500 +- 0.0040", "0.1"]
-    short = summary(half_loop=None, half_loop_uncertainty=None, turn_on=None)
-    assert [len(row) for row in offset_rows(short)] == [3] * 3
-    assert shown_unit("m/s2")[0] == "mg"
+    assert [*offset_rows(summary("accel"))[0]][1:] == ["slope (mg per degC)", "table +- (mg)"]
     assert shown_unit("count") == ("count", 1.0)
 
 
 def test_the_title_counts_the_nodes_that_no_data_were_near():
-    assert offset_title("gyroscope", summary()) == (
-        "gyroscope offset over temperature: 20.0 to 28.0 degC seen, 25 nodes 18 to 30 degC by 0.5, 6 of them extrapolated"
+    assert re.fullmatch(
+        r"gyroscope offset over temperature: [\d.]+ to [\d.]+ degC seen, \d+ nodes [\d.]+ to [\d.]+ degC by 0.5, "
+        r"\d+ of them extrapolated",
+        offset_title("gyroscope", summary()),
     )
+
+
+def test_the_thermal_sensitivity_of_the_scale_is_that_of_the_device():
+    rows = [row["scale factor (% per degC)"] for row in scale_rows(soaked())]
+    assert all(re.match(r"[-+]0\.(20|19)\d* \+- ", row) for row in rows), rows  # 0.2 %/K by the preset
 
 
 @pytest.mark.parametrize(
@@ -71,51 +74,10 @@ def test_a_value_is_written_to_the_second_digit_of_its_uncertainty(value, uncert
     assert plus_minus(value, uncertainty) == text
 
 
-def choice():
-    return Choice(
-        fits={},
-        verdict=Verdict(),
-        fitted_rms_dps=np.array([1.6, 0.01, np.nan, 0.008]),
-        left_out_rms_dps=np.array([1.6, 0.01, np.nan, 0.009]),
-        standard_error_dps=np.array([0.1, 0.001, np.nan, 0.0]),
-        chosen="scale",
-        why=finding(
-            "drift.tables_selected",
-            "info",
-            tables="scale",
-            error_dps=0.01,
-            held_out=2,
-            soaks=4,
-            set_points=4,
-        ),
-    )
-
-
-def test_the_choice_says_what_was_chosen_and_what_could_not_be_fitted():
-    rows = choice_rows(choice())
-    assert [row["chosen"] for row in rows] == ["", "chosen", "", ""]
-    assert (rows[2]["fitted (deg/s rms)"], rows[2]["held out (deg/s rms)"]) == ("not fitted", "not seen")
-    assert rows[1]["held out (deg/s rms)"] == "0.0100 +- 0.0010"
-
-
-def scales():
-    return ScaleSummary(
-        temp_c=NODES,
-        percent=np.zeros((len(NODES), 3)),
-        uncertainty=np.where(np.arange(3) == 1, np.nan, np.full((len(NODES), 3), 0.1)),
-        extrapolated=NODES < 20.0,
-        soak_temp_c=np.array([20.0, 25.0, 30.0]),
-        soak_percent=np.where(np.arange(3) == 1, np.nan, np.zeros((3, 3))),
-        soak_uncertainty=np.where(np.arange(3) == 1, np.nan, np.full((3, 3), 0.1)),
-    )
-
-
 DRAWN = {
     "offsets": lambda: draw_offsets(summary()),
-    "offsets without blocks": lambda: draw_offsets(
-        summary(block_temp_c=np.zeros(0), block_departure=np.zeros((0, 3)), block_cooling=np.zeros(0), against="zero")
-    ),
-    "scale": lambda: draw_scale(scales()),
+    "offsets of poses": lambda: draw_offsets(summary("accel")),
+    "scale": lambda: draw_scale(soaked().scale),
     "dynamic": lambda: draw_dynamic(
         DynamicDrift(
             temp_c=np.array([20.0, 30.0]),
@@ -124,15 +86,12 @@ DRAWN = {
             extrapolated=np.array([[True, False, True], [False] * 3]),
         )
     ),
-    "choice": lambda: draw_alternatives(choice()),
 }
 WORDS = {
-    "offsets": ("offset less the constant offset", "x (deg/s)", "extrapolated", "warming", "cooling branch", "95 %"),
-    "offsets without blocks": (">offset<", "uncertainty of the table", "a pose has no single offset"),
-    "change alone": ("x (count)", "offset minus the fit"),
+    "offsets": ("offset less the constant offset", "x (deg/s)", "extrapolated", "warming", "95 %"),
+    "offsets of poses": ("uncertainty of the table", "a pose has no single offset"),
     "scale": ("scale factor against", "z (%)", "soaks, 95 %"),
     "dynamic": ("measured rate (deg/s)", "20 degC", "correction (deg/s)"),
-    "choice": ("scale (chosen)", "scale + dynamic"),
 }
 
 
@@ -146,13 +105,12 @@ def test_every_picture_names_what_it_shows_and_is_the_same_twice(name):
 
 
 def test_an_axis_that_was_not_turned_is_not_drawn():
-    assert "y (%)" not in svg_of(draw_scale(scales()))
     labels = [axes.get_ylabel()[0] for axes in DRAWN["dynamic"]().axes]
     assert labels == ["x", "z"]
 
 
 def test_the_legend_s_soaks_have_the_colour_of_those_in_every_panel():
-    figure = draw_scale(scales())
+    figure = draw_scale(soaked().scale)
     drawn = {line.get_color() for axes in figure.axes for line in axes.lines if line.get_marker() == "o"}
     legend = figure.legends[0]
     named = dict(zip([text.get_text() for text in legend.get_texts()], legend.legend_handles, strict=True))

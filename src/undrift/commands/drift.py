@@ -6,7 +6,7 @@ The summary begins with the largest error of a standard motion, without and with
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -18,11 +18,12 @@ from undrift.commands import Progress, part_of, reading, silent
 from undrift.commands.calibration_file import choose_calibration
 from undrift.commands.files import Opening, check_output, ends_of, recording_of, thermal_session
 from undrift.errors import InputError
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
-    from undrift.drift.fit import Choice, DriftFit, DriftSettings
-    from undrift.drift.verdict import TriadSummary
+    from undrift.arrays import BoolArray, FloatArray
+    from undrift.drift.fit import DriftFit, DriftSettings
+    from undrift.drift.offset import TriadDrift
     from undrift.model import Calibration
     from undrift.record import Session
     from undrift.validation.table_worth import TableWorth
@@ -38,7 +39,7 @@ def drift(
     span: Annotated[str | None, Parameter(name="--range-c", allow_leading_hyphen=True)] = None,
     step_c: float = 0.5,
     spline: Literal["smooth", "not-a-knot"] = "smooth",
-    tables: Literal["auto", "none", "scale", "dynamic", "scale+dynamic"] = "auto",
+    tables: Literal["none", "scale", "dynamic", "scale+dynamic"] = "scale+dynamic",
     lag_s: float | None = None,
     warm_up: Flag = False,
     opening: Opening = Opening(),
@@ -65,7 +66,7 @@ def drift(
     spline : str
         smooth (stiffness by restricted likelihood), or not-a-knot (through the set-points, as the note does).
     tables : str
-        Tables in addition to offsets. auto selects them by cross-validated error.
+        Tables in addition to offsets, if the turns determine them.
     lag_s : float or None
         Thermometer lag, s. By default it is estimated from ramps at two speeds. 0 disables the correction.
     warm_up : bool
@@ -168,7 +169,7 @@ def drift_summary(fit: "DriftFit") -> Summary:
     return Summary(
         title=f"Thermal drift of {fit.calibration.device or 'device without a serial number'}",
         answer=answer,
-        pictures=(figure_of("drift:draw_drift", fit),) if fit.gyro_summary or fit.accel_summary else (),
+        pictures=(figure_of("drift:draw_drift", fit),) if summarise(fit, "gyro") or summarise(fit, "accel") else (),
         sections=(Section(title="Before and after", text=(lead,)), *drift_sections(fit, drawn=True)),
         verdict=fit.verdict,
     )
@@ -187,28 +188,63 @@ def _worth(fit: "DriftFit") -> "TableWorth | None":
 
 def drift_sections(fit: "DriftFit", *, drawn: bool = False) -> tuple[Section, ...]:
     """Return the sections of a thermal fit, without the picture that was drawn before."""
-    import numpy as np
-
-    first = fit.gyro_summary or fit.accel_summary
-    sections = []
-    for name, triad in (("Gyroscope", fit.gyro_summary), ("Accelerometer", fit.accel_summary)):
+    sections = list[Section]()
+    for name, triad in (("Gyroscope", summarise(fit, "gyro")), ("Accelerometer", summarise(fit, "accel"))):
         if triad is not None:
-            pictures = () if drawn and triad is first else (figure_of("drift:draw_offsets", triad),)
+            pictures = () if drawn and not sections else (figure_of("drift:draw_offsets", triad),)
             sections.append(rows_section(offset_title(name, triad), offset_rows(triad), pictures=pictures))
-    scale, rows = fit.scale_summary, scale_rows(fit)
-    if rows or (scale is not None and np.isfinite(scale.soak_percent).any()):
-        pictures = () if scale is None else (figure_of("drift:draw_scale", scale),)
-        sections.append(rows_section("Scale factor of the gyroscopes over temperature", rows, pictures=pictures))
+    if fit.scale is not None:
+        pictures = (figure_of("drift:draw_scale", fit.scale),)
+        sections.append(
+            rows_section("Scale factor of the gyroscopes over temperature", scale_rows(fit), pictures=pictures)
+        )
     dynamic = None if fit.calibration.drift is None else fit.calibration.drift.dynamic
     if dynamic is not None and dynamic.error.any():
         sections.append(Section(title="Dynamic drift", pictures=(figure_of("drift:draw_dynamic", dynamic),)))
-    if fit.choice is not None:
-        judged = int(np.isfinite(fit.choice.left_out_rms_dps).sum()) > 1  # one mark compares nothing
-        pictures = (figure_of("drift:draw_alternatives", fit.choice),) if judged else ()
-        sections.append(
-            rows_section("Which tables", choice_rows(fit.choice), text=(fit.choice.why.text,), pictures=pictures)
-        )
     return tuple(sections)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TriadSummary:
+    """Offset over temperature of three sensors, with n nodes and k blocks of rest, values in ``unit``."""
+
+    unit: str  # rad/s or m/s2
+    seen_c: tuple[float, float]  # lowest and highest temperature of the data, degC
+    temp_c: "FloatArray"  # (n,), nodes, degC
+    departure: "FloatArray"  # (n, 3), from the constant offset
+    uncertainty: "FloatArray"  # (n, 3), standard uncertainty
+    extrapolated: "BoolArray"  # (n,), True if no data were near
+    fit: "TriadDrift | None"  # None if the table is of several poses
+    factor: "FloatArray"  # (3,), unit per raw unit
+    constant: "FloatArray"  # (3,), offset of the calibration, raw unit
+    block_cooling: "FloatArray"  # (k,), 1 while cooling, -1 while warming
+
+
+def summarise(fit: "DriftFit", sensor: Literal["gyro", "accel"]) -> TriadSummary | None:
+    """Return the offsets of a triad over temperature, or None without a table."""
+    import numpy as np
+
+    from undrift.drift.offset import cooling
+
+    triad = fit.calibration.triad(sensor)
+    table, model = triad.offsets, triad.model
+    if table is None or model is None or table.uncertainty is None or table.extrapolated is None:
+        return None
+    drift = fit.static.gyro if sensor == "gyro" else fit.static.accel
+    seen = table.temp_c[~table.extrapolated] if not table.extrapolated.all() else table.temp_c
+    factor = model.si_per_reading(triad.quantity)
+    return TriadSummary(
+        unit=SI_UNIT[triad.quantity],
+        seen_c=(float(seen[0]), float(seen[-1])) if drift is None else drift.span_c,
+        temp_c=table.temp_c,
+        departure=(table.value - model.offset) * factor,
+        uncertainty=table.uncertainty * factor,
+        extrapolated=table.extrapolated,
+        fit=drift,
+        factor=factor,
+        constant=model.offset,
+        block_cooling=np.zeros(0) if drift is None else cooling(drift.offsets.blocks),
+    )
 
 
 def shown_unit(unit: str) -> tuple[str, float]:
@@ -216,26 +252,36 @@ def shown_unit(unit: str) -> tuple[str, float]:
     return _SHOWN.get(unit, (unit, 1.0))
 
 
-def offset_rows(summary: "TriadSummary") -> list[dict[str, str]]:
+def offset_rows(summary: TriadSummary) -> list[dict[str, str]]:
     """Return a row for each axis: slope, uncertainty of the table, hysteresis, sessions."""
-    unit, factor = shown_unit(summary.unit)
+    import numpy as np
+
+    (unit, factor), fit = shown_unit(summary.unit), summary.fit
+    near = np.flatnonzero(~summary.extrapolated | summary.extrapolated.all())
+    usual = np.median(summary.uncertainty[near], axis=0) * factor
+    raw, ends = summary.factor * factor, near[[0, -1]] if len(near) > 1 else np.array([0, -1])
+    span_c = np.diff(summary.temp_c[ends])
+    slope = np.diff(summary.departure[ends], axis=0)[0] / span_c * factor
+    slope_uncertainty = np.linalg.norm(summary.uncertainty[ends], axis=0) / span_c * factor
+    if fit is not None:
+        slope, slope_uncertainty = fit.slope * raw, fit.slope_uncertainty * np.abs(raw)
     rows = []
     for k, axis in enumerate("xyz"):
         row = {
             "axis": axis,
-            f"slope ({unit} per degC)": plus_minus(summary.slope[k] * factor, summary.slope_uncertainty[k] * factor),
-            f"table +- ({unit})": f"{summary.usual_uncertainty[k] * factor:.2g}",
+            f"slope ({unit} per degC)": plus_minus(slope[k], slope_uncertainty[k]),
+            f"table +- ({unit})": f"{usual[k]:.2g}",
         }
-        if summary.half_loop is not None and summary.half_loop_uncertainty is not None:
-            half = summary.half_loop[k] * factor, summary.half_loop_uncertainty[k] * factor
+        if fit is not None and fit.hysteresis is not None and fit.hysteresis_uncertainty is not None:
+            half = fit.hysteresis[k] * raw[k], fit.hysteresis_uncertainty[k] * abs(raw[k])
             row[f"hysteresis half-width ({unit})"] = plus_minus(*half)
-        if summary.turn_on is not None:
-            row[f"between sessions ({unit})"] = f"{summary.turn_on[k] * factor:.2g}"
+        if fit is not None and fit.turn_on is not None:
+            row[f"between sessions ({unit})"] = f"{np.sqrt(fit.turn_on.variance[k]) * abs(raw[k]):.2g}"
         rows.append(row)
     return rows
 
 
-def offset_title(name: str, summary: "TriadSummary") -> str:
+def offset_title(name: str, summary: TriadSummary) -> str:
     """Return the range of an offset table as a line of text."""
     low, high = summary.seen_c
     nodes = summary.temp_c
@@ -247,26 +293,16 @@ def offset_title(name: str, summary: "TriadSummary") -> str:
 
 
 def scale_rows(fit: "DriftFit") -> list[dict[str, str]]:
-    """Return a row for each axis: thermal sensitivity of the scale factor."""
-    scale = None if fit.choice is None else fit.choice.scale
-    if scale is None:
+    """Return a row for each axis: change of the scale factor over the nodes with data, relative to the reference temperature."""
+    import numpy as np
+
+    if fit.scale is None:
         return []
-    rows = zip("xyz", map(plus_minus, scale.percent_per_k, scale.percent_per_k_uncertainty), strict=True)
+    temp_c, near = fit.scale.drift.temp_c, np.flatnonzero(~np.asarray(fit.scale.drift.gyro_extrapolated))
+    scale, doubt = (table.diagonal(axis1=1, axis2=2) for table in (fit.scale.forward, fit.scale.uncertainty))
+    reference = scale[np.abs(temp_c - fit.calibration.reference_temp_c).argmin()]
+    percent = 100.0 / (reference * (temp_c[near[-1]] - temp_c[near[0]]))
+    slope = np.where(np.isfinite(doubt[0]), (scale[near[-1]] - scale[near[0]]) * percent, np.nan)
+    slope_doubt = np.hypot(doubt[near[0]], doubt[near[-1]]) * np.abs(percent)
+    rows = zip("xyz", map(plus_minus, slope, slope_doubt), strict=True)
     return [{"axis": axis, "scale factor (% per degC)": thermal} for axis, thermal in rows]
-
-
-def choice_rows(choice: "Choice") -> list[dict[str, str]]:
-    """Return a row for each choice of tables."""
-    from undrift.drift.fit import ALTERNATIVES
-
-    tried = (choice.fitted_rms_dps, choice.left_out_rms_dps, choice.standard_error_dps)
-    none = all(map(math.isnan, choice.left_out_rms_dps))
-    return [
-        {
-            "tables with offsets": name,
-            "fitted (deg/s rms)": f"{fitted:.3g}" if math.isfinite(fitted) else "not fitted",
-            "held out (deg/s rms)": "nothing held out" if none else plus_minus(error, doubt).lstrip("+"),
-            "chosen": "chosen" * (name == choice.chosen),
-        }
-        for name, fitted, error, doubt in zip(ALTERNATIVES, *tried, strict=True)
-    ]

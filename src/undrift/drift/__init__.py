@@ -1,6 +1,6 @@
 """Fit the tables of a Calibration to thermal sessions.
 
-    fit           fit_drift: the procedure, and the selection of tables by cross-validation
+    fit           fit_drift: the procedure
     observe       preparation of sessions, means over blocks of rest and over dwells at a rate, one row each
     temperature   checks and smoothing of the thermometer's readings, estimate and subtraction of its lag
     offset        offset(T): means per visit and temperature, a smooth curve through them, hysteresis, warm-up, sessions

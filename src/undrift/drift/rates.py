@@ -17,14 +17,12 @@ product of cubic splines, is fitted to the steps of all soaks, and to the rests 
     r_k = e(w_k, T_k) + d_m(k) + noise          e(w, T) = sum_ij c_ij B_i(w) B_j(T)
     minimise  sum (r_k - e_k - d_m)^2 / v_k + integral (d2e/dw2)^2 / s_w^2 + integral (d2e/dT2)^2 / s_T^2
 
-The softness (s_w, s_T) is the pair that best predicts soaks that are left out, or rates if there are only two soaks. The prediction
-error of a group g is (1 - H_gg)^-1 r_g for a linear smoother with hat matrix H, so the fit is not repeated [1]_. The covariance
-comes from the smoothness prior [2]_, and the variances v include the excess of the residuals over the known variances.
+The penalty is the prior of the surface, which gives the covariance [1]_. The softness (s_w, s_T) maximises the restricted
+likelihood of this prior, and the variances v include the excess of the residuals over the known variances.
 
 References
 ----------
-.. [1] P. Craven, G. Wahba, "Smoothing noisy data with spline functions", Numerische Mathematik 31, 1979, 377-403.
-.. [2] G. Wahba, "Bayesian confidence intervals for the cross-validated smoothing spline", J. R. Stat. Soc. B 45, 1983, 133-150.
+.. [1] G. Wahba, "Bayesian confidence intervals for the cross-validated smoothing spline", J. R. Stat. Soc. B 45, 1983, 133-150.
 """
 
 from dataclasses import dataclass, replace
@@ -34,7 +32,7 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray, interpolated
 from undrift.drift.observe import RateSteps, RestBlocks
-from undrift.drift.offset import bins_of, known_variance, near_data
+from undrift.drift.offset import known_variance, near_data
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.curve import Cubics, fit_curve
@@ -53,6 +51,7 @@ MAINLY = 0.5  # share of the turning rate from which a row counts for an axis
 NEAR_RATE = 0.02  # relative to the largest rate: a node this far beyond the measured rates is not extrapolated
 LOOSE = 1e2  # prior variance of d, in units of the residuals' mean square: it is free
 SOFTNESS = (1e-2, 1e-1, 1.0, 1e1, 1e2)  # s_w and s_T, relative to the spans and the residuals, from stiff to soft
+FREE = 2  # surfaces w and w T, which the penalty leaves alone
 MAX_INTERVALS = 6  # intervals of 30 deg/s over the note's rates
 LEAST_DIGIT = 1e-9  # relative to the readings, the arithmetic error of a mean
 LEAST_NOISE = 1e-6  # relative to the values (rad/s if all values are 0), below which noise cannot be resolved
@@ -106,9 +105,8 @@ class ScaleFit:
 
     drift: ScaleDrift  # gyroscope matrices at the nodes
     soaks: SoakMatrices
-    # (3,), thermal sensitivity of each scale factor, %/K of its value at the reference temperature, or NaN if not observable
-    percent_per_k: FloatArray
-    percent_per_k_uncertainty: FloatArray  # (3,), standard uncertainty of that
+    forward: FloatArray  # (n, 3, 3), K at the nodes, raw unit per rad/s
+    uncertainty: FloatArray  # (n, 3, 3), of each element, or NaN for an axis that was not turned
     verdict: Verdict
 
 
@@ -226,16 +224,11 @@ def fit_scale(steps: Steps, calibration: Calibration, *, temp_c: FloatArray) -> 
             soaks=int(count.max()),
         )
     forward = np.tile(_forward(model), (len(temp_c), 1, 1))
-    variance, percent, percent_uncertainty = np.full(forward.shape, np.nan), np.full(3, np.nan), np.full(3, np.nan)
+    variance = np.full(forward.shape, np.nan)
     for j in np.flatnonzero(spans_c):
         rows = turned_soaks[:, j]
         nodes = fit_curve(soaks.temp_c[rows], soaks.forward[rows, :, j], soaks.variance[rows, :, j]).at(temp_c)
         forward[:, :, j], variance[:, :, j] = nodes.value, nodes.uncertainty**2
-        zero_c = soaks.temp_c[rows].mean()
-        zero_c = calibration.reference_temp_c if np.isfinite(calibration.reference_temp_c) else zero_c
-        line = np.column_stack((np.ones(count[j]), soaks.temp_c[rows] - zero_c))
-        (value, slope), covariance = _weigh(line, soaks.forward[rows, j, j], soaks.variance[rows, j, j])
-        percent[j], percent_uncertainty[j] = 100.0 * slope / value, abs(100.0 / value) * np.sqrt(covariance[1, 1])
     matrix, unknown = np.linalg.inv(forward), np.isnan(variance)
     jacobian = np.stack([inverse_jacobian(m) for m in matrix])
     spread = np.sqrt(np.einsum("nij,nj->ni", jacobian**2, np.where(unknown, 0.0, variance).reshape(-1, 9)))
@@ -253,8 +246,8 @@ def fit_scale(steps: Steps, calibration: Calibration, *, temp_c: FloatArray) -> 
             gyro_extrapolated=~near_data(temp_c, soaks.temp_c, gap_c=MATRIX_GAP_C),
         ),
         soaks=soaks,
-        percent_per_k=percent,
-        percent_per_k_uncertainty=percent_uncertainty,
+        forward=forward,
+        uncertainty=np.sqrt(variance),
         verdict=Verdict.of(*steps.findings, *findings),
     )
 
@@ -355,19 +348,18 @@ def fit_dynamic(
     *,
     span_c: tuple[float, float],
     scale: ScaleDrift | None = None,
-    like: DynamicFit | None = None,
 ) -> DynamicFit:
     """Fit the dynamic drift of the gyroscopes.
 
     Nodes are the imposed rates, zero and the ends of the measured rates, rad/s, and temperatures every 5 degC with the ends of
-    ``span_c``. Cross-validation selects the softness of each surface, unless an earlier fit ``like`` provides it.
+    ``span_c``.
     """
     points = [_surface_points(axis, steps, calibration, scale) for axis in range(3)]
     axis_points = [data for data in points if data is not None]
     if not axis_points:
         soaks = len(np.unique(steps.soak))
         raise NotObservable(
-            f"dynamic drift: no axis turned at two rates and two soaks among {len(steps)} steps at {soaks} soaks, "
+            f"dynamic drift: no axis turned at two rates and three soaks among {len(steps)} steps at {soaks} soaks, "
             f"{steps.temp_c.min():.1f} to {steps.temp_c.max():.1f} degC. Repeat the steps at another temperature.",
             soaks=soaks,
         )
@@ -385,19 +377,14 @@ def fit_dynamic(
         if data is None:
             findings.append(_axis_not_turned(f"Dynamic drift {AXES[axis]}"))
             continue
-        earlier = None if like is None else like.surfaces[axis]
         surface = surfaces[axis] = fit_surface(
             data,
             rate_span=(float(turn_rate[0]), float(turn_rate[-1])),
             temp_span=span_c,
-            softness=None if earlier is None else earlier.softness,
         )
         error[:, :, axis] = surface.at(grid_w, grid_t).reshape(shape)
         uncertainty[:, :, axis] = surface.uncertainty(grid_w, grid_t).reshape(shape)
         extrapolated |= _unseen(data, turn_rate, temp_c)
-    two = ", ".join(AXES[k] for k, data in enumerate(points) if data is not None and data.soak.max() == 1)
-    if two:
-        findings.append(two_temperatures(f"dynamic drift {two}"))
     drift = DynamicDrift(
         temp_c=temp_c, turn_rate=turn_rate, error=error, uncertainty=uncertainty, extrapolated=extrapolated
     )
@@ -407,10 +394,10 @@ def fit_dynamic(
 def _surface_points(
     axis: int, steps: Steps, calibration: Calibration, scale: ScaleDrift | None
 ) -> SurfacePoints | None:
-    """Return the rows of mountings that turned about an axis, or None without two soaks and two rates."""
+    """Return the rows of mountings that turned about an axis, or None without three soaks and two rates."""
     axis_steps = steps.taken(steps.axis == axis)
     turning, imposed = axis_steps.turning, axis_steps.rate_b[:, axis]
-    if len(np.unique(axis_steps.soak)) < 2 or len(np.unique(imposed[turning])) < 2:
+    if len(np.unique(axis_steps.soak)) < 3 or len(np.unique(imposed[turning])) < 2:
         return None
     rate = measured_rate(axis_steps.reading, axis_steps.temp_c, calibration, scale)[:, axis]
     row = measured_rate(np.eye(3), np.zeros(3), calibration, None)[:, axis]  # row of M
@@ -449,19 +436,13 @@ def _unseen(points: SurfacePoints, turn_rate: FloatArray, temp_c: FloatArray) ->
 
 
 @determined("rate drift")
-def fit_surface(
-    points: SurfacePoints,
-    *,
-    rate_span: tuple[float, float],
-    temp_span: tuple[float, float],
-    softness: tuple[float, float] | None = None,
-) -> Surface:
-    """Fit a surface to the residual rates of an axis at two soaks or more, with the best predicting or the given softness."""
+def fit_surface(points: SurfacePoints, *, rate_span: tuple[float, float], temp_span: tuple[float, float]) -> Surface:
+    """Fit a surface to the residual rates of an axis at three soaks or more, with the most likely softness."""
     soaks, levels = len(np.unique(points.soak)), len(np.unique(points.turn_rate))
     low, high = (float(f((*rate_span, 0.0, f(points.turn_rate)))) for f in (min, max))
     cold, hot = (float(f((*temp_span, f(points.temp_c)))) for f in (min, max))
     rate = Cubics(low=low, high=high, intervals=min(MAX_INTERVALS, max(2, levels // 2)))
-    temp = Cubics(low=cold, high=hot, intervals=min(MAX_INTERVALS, max(1, soaks - 1)))
+    temp = Cubics(low=cold, high=hot, intervals=min(MAX_INTERVALS, soaks - 1))
     groups = int(points.mounting.max()) + 1
     value = points.value - (np.bincount(points.mounting, points.value) / np.bincount(points.mounting))[points.mounting]
     surface = _design(rate, temp, points.turn_rate, points.temp_c)
@@ -471,23 +452,24 @@ def fit_surface(
     flat, bent = (_vanishing(rate).T @ rate.products(d) @ _vanishing(rate) for d in (0, 2))
     bends = np.kron(temp.products(0), bent), np.kron(temp.products(2), flat)
 
-    def solved(softness: tuple[float, float], v: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the coefficients of surface and offsets, and their covariance."""
+    def solved(softness: tuple[float, float], v: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+        """Return the coefficients of surface and offsets, their covariance, and minus twice the log likelihood."""
+        roughness = bends[0] / (softness[0] * size) ** 2 + bends[1] / (softness[1] * size) ** 2
         penalty = np.eye(p + groups) / (LOOSE * size**2)
-        penalty[:p, :p] = bends[0] / (softness[0] * size) ** 2 + bends[1] / (softness[1] * size) ** 2
-        covariance = np.linalg.inv(x.T @ (x / v[:, None]) + penalty)
-        return covariance @ (x.T @ (value / v)), covariance
+        penalty[:p, :p] = roughness
+        precision = x.T @ (x / v[:, None]) + penalty
+        covariance = np.linalg.inv(precision)
+        c = covariance @ (x.T @ (value / v))
+        stiff = np.linalg.eigvalsh(roughness)[FREE:]
+        misfit = ((value - x @ c) ** 2 / v).sum() + c @ penalty @ c
+        loss = np.linalg.slogdet(precision)[1] - np.log(stiff).sum() + np.log(v).sum() + misfit
+        return c, covariance, float(loss)
 
-    over_temp = SOFTNESS if soaks > 2 else SOFTNESS[:1]
-    choices = [(w, t) for t in over_temp for w in SOFTNESS] if softness is None else [softness]
+    choices = [(w, t) for t in SOFTNESS for w in SOFTNESS]
     for _ in range(3):  # the excess follows from the residuals, and the softness from both
         v = known_variance + excess
-        best = (
-            min(choices, key=lambda s: _leave_out_square(points, value, x, v, solved(s, v)[1]))
-            if choices[1:]
-            else choices[0]
-        )
-        c, covariance = solved(best, v)
+        best = min(choices, key=lambda softness: solved(softness, v)[2])
+        c, covariance, _ = solved(best, v)
         freedom = len(value) - float(((x @ covariance) * x / v[:, None]).sum())
         excess = excess_variance(value - x @ c, known_variance, round(freedom))
     return Surface(
@@ -499,28 +481,6 @@ def fit_surface(
         excess=float(np.sqrt(excess)),
         residuals=value - x @ c,
     )
-
-
-def _leave_out_square(
-    points: SurfacePoints, value: FloatArray, x: FloatArray, v: FloatArray, covariance: FloatArray
-) -> float:
-    """Return the weighted square prediction error of rows left out: soaks between others, or rates if there are two soaks."""
-    group, place = points.soak, points.temp_c
-    if group.max() < 2:
-        place = np.abs(points.turn_rate)
-        group = np.zeros(len(place), np.int64)
-        group[np.argsort(place)] = bins_of(np.sort(place), SAME_RATE * float(place.max()))
-    residual, total = value - x @ (covariance @ (x.T @ (value / v))), 0.0
-    for number in np.setdiff1d(group, group[[place.argmin(), place.argmax()]]):  # nothing predicts beyond the ends
-        rows = np.flatnonzero(group == number)
-        hat = x[rows] @ covariance @ x[rows].T / v[rows]
-        missed = np.linalg.solve(np.eye(len(rows)) - hat, residual[rows])
-        if group is points.soak:
-            for m in np.unique(points.mounting[rows]):  # its offset is its own: only the difference over rate counts
-                mounting_rows = points.mounting[rows] == m
-                missed[mounting_rows] -= np.average(missed[mounting_rows], weights=1.0 / v[rows][mounting_rows])
-        total += float((missed**2 / v[rows]).sum())
-    return total
 
 
 def _design(rate: Cubics, temp: Cubics, turn_rate: FloatArray, temp_c: FloatArray) -> FloatArray:

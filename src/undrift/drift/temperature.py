@@ -15,13 +15,13 @@ A thermometer lags behind the sensors, T_m' = (T - T_m) / tau. The lag is subtra
 The lead makes the noise of a single reading tau / tau_f times as large. It does not change the slow part of the noise, and only
 this part adds up to an angle.
 
-The sensors themselves determine the time constant. A block of rest at reading T_m and slope T_m' was at T = T_m + tau T_m'.
+The gyroscopes themselves determine the time constant. A block of rest at reading T_m and slope T_m' was at T = T_m + tau T_m'.
 Per axis::
 
     y = f(T_m + tau T_m') + m_pose + h c + w exp(-t / t_w)      cubic spline f, c = +1 cooling, -1 warming, t since power-on
 
-tau minimises n_eff times the sum over axes of log(residual), with f, m, h, w fitted at each tau. A hysteresis h does not depend on
-the speed of the ramp, but a lag does, so ramps of two speeds separate them.
+tau minimises the residuals of all axes, each relative to its variance, with f, m, h, w fitted at each tau (Gauss-Newton). A
+hysteresis h does not depend on the speed of the ramp, but a lag does, so ramps of two speeds separate them.
 """
 
 import math
@@ -44,7 +44,6 @@ LONGEST_GAP_S = 10.0  # longest gap that is interpolated (longer gaps stay NaN)
 MOST_MISSING = 0.5  # share of the readings that may be missing
 BOARD_C = (-40.0, 125.0)  # operating range of the parts of a board
 OFF_SET_POINT_C = 5.0  # largest difference between the column and a given set-point on the same scale
-STALE_S = 30.0  # a value that stays this long and then jumps was not measured meanwhile
 HOT_C = 45.0  # above it all along: no room, and no body
 SPIKE = 8.0 * 1.4826  # times the median distance from the running median: eight standard deviations
 LEAST_SPIKE_C = 0.5
@@ -60,10 +59,9 @@ LONGEST_LAG_S = 300.0
 NODE_C, MOST_KNOTS = 5.0, 16  # between the spline's knots
 FEWEST = 24  # blocks
 MOVING_C_PER_MIN = 0.1
-TWO_SPEEDS = 1.5  # fast over slow
-SPEEDS = (0.2, 0.8)  # quantiles of the way over temperature that are slow and fast
 WARM_UP_S = 600.0  # time constant of the power-on transient that is fitted with the lag
-BOTH_WAYS = 0.1  # share of the variance of the slopes that the temperature must leave unexplained
+LEAST_OWN = 0.1  # share of the squared slopes that temperature and direction must leave unexplained: a second speed
+SEARCH_S = 5.0  # step of the search for the lag
 
 Source = Literal["column", "set-points", "means"]  # means: rows that are means over set-points
 
@@ -136,19 +134,12 @@ def _column_temperature(
             missing=1.0 - float(finite.mean()),
         )
     step, findings = step_of(readings[finite]), list[Finding]()
-    spikes = _spikes(readings, step)
-    stale = _stale(np.where(spikes, np.nan, readings), time, step)
-    used = finite & ~spikes & ~stale
+    used = finite & ~_spikes(readings, step)
     noise_c, course = _smooth(readings[used], time[used], step)
     temp_c = np.interp(time, time[used], course)
     for start, stop in runs(~used):  # long gaps stay open
         if start == 0 or stop == len(time) or time[stop] - time[start - 1] > LONGEST_GAP_S:
             temp_c[start:stop] = np.nan
-    if not used.all():
-        left_out = {"missing": int((~finite).sum()), "spikes": int(spikes.sum()), "stale": int(stale.sum())}
-        open_rows = int(np.isnan(temp_c).sum())
-        values = {**left_out, "interpolated": int((~used).sum()) - open_rows, "rows": len(time)}
-        findings.append(finding("drift.temperature_left_out", "info", recording=index, **values))
     low, high = float(readings[used].min()), float(readings[used].max())
     if low > HOT_C:
         problem = f"{low:.1f} to {high:.1f} degC throughout: a chamber, self-heating of a chip, degF read as degC, or a wrong scale"
@@ -169,21 +160,6 @@ def _spikes(temp_c: FloatArray, step_c: float) -> BoolArray:
     deviation = np.abs(temp_c[finite] - median_filter(temp_c[finite], size=5, mode="nearest"))
     spikes[finite] = deviation > max(SPIKE * float(np.median(deviation)), 2.5 * step_c, LEAST_SPIKE_C)
     return spikes
-
-
-def _stale(temp_c: FloatArray, time: FloatArray, step_c: float) -> BoolArray:
-    """Mark frozen readings, (N,), that repeat for long and then jump, or belong to a column that changes at most readings."""
-    rows, stale = np.flatnonzero(np.isfinite(temp_c)), np.zeros(len(temp_c), dtype=bool)
-    values, moments = temp_c[rows], time[rows]
-    first = np.flatnonzero(np.diff(values, prepend=np.nan) != 0.0)
-    last = np.append(first[1:], len(values)) - 1
-    jump = np.append(np.abs(np.diff(values[first])), 0.0)
-    wait_s = np.append(moments[first[1:]] - moments[last[:-1]], 0.0)  # a gap between may have hidden the way
-    sudden = (jump > max(1.5 * step_c, 0.2)) & (wait_s < 5.0 * float(np.median(np.diff(moments))))
-    lively = len(first) > 0.3 * len(values)
-    for k in np.flatnonzero((moments[last] - moments[first] >= STALE_S) & (sudden | lively)):
-        stale[rows[first[k] + 1 : last[k] + 1]] = True
-    return stale
 
 
 # ---- the smooth course behind readings; temp_c (N,) degC, time (N,) s
@@ -300,72 +276,40 @@ def default_smooth_s(lag_s: float, *, noise_c: float, interval_s: float) -> floa
 class LagFit:
     """A thermometer's lag."""
 
-    lag_s: float = 0.0  # time constant, s, or 0 if unknown
+    lag_s: float = 0.0  # time constant, s, or 0 if not observable
     uncertainty_s: float = math.inf  # standard uncertainty, s, or infinity if not observable
-    problem: str = ""  # why it is not observable
 
 
-def estimate_lag(blocks: RestBlocks, *, longest_s: float = LONGEST_LAG_S) -> LagFit:
-    """Return the time constant, up to a maximum, for which readings at equal temperature agree for all ramps."""
-    direction, usable = cooling(blocks), np.isfinite(blocks.temp_c) & np.isfinite(blocks.ramp_c_per_min)
+def estimate_lag(blocks: RestBlocks) -> LagFit:
+    """Return the time constant for which the gyroscopes' readings at equal temperature agree for all ramps."""
+    direction = cooling(blocks)
+    usable = np.isfinite(blocks.temp_c) & np.isfinite(blocks.ramp_c_per_min) & np.isfinite(blocks.gyro).all(axis=1)
     settled = usable & (np.abs(direction) > 0.99)  # after a turn a hysteresis is still changing
-    rows = settled if settled.sum() >= FEWEST and len(np.unique(np.sign(direction[settled]))) > 1 else usable
+    rows = settled if settled.sum() >= FEWEST else usable
     blocks, direction = blocks.taken(rows), direction[rows]
-    readings, temp_c, slope = _readings(blocks), blocks.temp_c, blocks.ramp_c_per_min / 60.0
-    speed = np.sort(np.abs(blocks.ramp_c_per_min[np.abs(blocks.ramp_c_per_min) > MOVING_C_PER_MIN]))
-    if readings.shape[1] == 0 or len(speed) < FEWEST:
-        return LagFit(
-            problem=f"{len(speed)} blocks of rest change by over {MOVING_C_PER_MIN:g} degC/min, and {FEWEST} are needed."
-        )
-    poses = np.asarray(blocks.pose[:, None] == np.unique(blocks.pose)[1:], dtype=np.float64)
-    open_share = float(
-        np.sum(_remove_effects(slope[:, None], _spline(temp_c), poses) ** 2) / max(float(slope @ slope), 1e-300)
-    )
-    if open_share < BOTH_WAYS:
-        return LagFit(problem="each temperature was passed at one speed.")
-    way = np.cumsum(speed) / speed.sum()
-    slow, fast = speed[np.searchsorted(way, SPEEDS)]
-    two_speeds = bool(fast > TWO_SPEEDS * slow)
-    effects = [poses, direction[:, None]] if two_speeds else [poses]
-    power_on = np.exp(-blocks.power_on_s[:, None] / WARM_UP_S)
-    effects += [power_on] if np.ptp(power_on) > 0.1 else []
+    temp_c, slope = blocks.temp_c, blocks.ramp_c_per_min / 60.0
+    if (np.abs(blocks.ramp_c_per_min) > MOVING_C_PER_MIN).sum() < FEWEST or not np.ptp(blocks.gyro, axis=0).all():
+        return LagFit()
+    readings = (blocks.gyro - blocks.gyro.mean(axis=0)) / np.ptp(blocks.gyro, axis=0)
+    pose = blocks.pose[:, None] == np.unique(blocks.pose)[1:]
+    effects = np.column_stack((pose, direction, np.exp(-blocks.power_on_s / WARM_UP_S)))
+    own = _remove_effects(slope[:, None], _spline(temp_c), effects)
+    if (own**2).sum() < LEAST_OWN * (slope**2).sum():
+        return LagFit()
 
-    def residual(lag: float) -> FloatArray:
-        return _remove_effects(readings, _spline(temp_c + lag * slope), *effects)
+    def residual(lag_s: float) -> FloatArray:
+        return _remove_effects(readings, _spline(temp_c + lag_s * slope), effects)
 
-    def losses(lags: FloatArray) -> FloatArray:
-        return np.array([float(np.log(np.mean(residual(lag) ** 2, axis=0)).sum()) for lag in lags])
-
-    coarse = np.concatenate(([0.0], np.geomspace(1.0, longest_s, 40)))
-    best = int(losses(coarse).argmin())
-    lags = np.unique(np.append(np.linspace(coarse[max(best - 1, 0)], coarse[min(best + 1, 40)], 25), longest_s))
-    loss = losses(lags)
-    best = int(loss.argmin())
-    misfit = _independent(residual(lags[best])) * (loss - loss[best])  # twice the loss of log-likelihood
-    if misfit[-1] <= 4.0:  # within two standard deviations
-        return LagFit(problem=f"any lag up to {longest_s:g} s fits.")
-    i, lag = min(max(best, 1), len(lags) - 2), float(lags[best])
-    curve, tilt, _ = np.polyfit(lags[i - 1 : i + 2] - lag, misfit[i - 1 : i + 2], 2)
-    if curve > 0.0:
-        lag = float(np.clip(lag - 0.5 * tilt / curve, lags[i - 1], lags[i + 1]))
-    if not two_speeds:  # without two speeds, hysteresis may look like lag
-        return LagFit(
-            lag_s=lag, problem=f"ramps have one speed, and a lag of {lag:.3g} s explains the same loop as hysteresis."
-        )
-    return LagFit(
-        lag_s=lag, uncertainty_s=1.0 / math.sqrt(curve) if curve > 0.0 else float(np.ptp(lags[misfit <= 1.0]))
-    )
-
-
-def _readings(blocks: RestBlocks) -> FloatArray:
-    """Return the axes that depend on temperature, each with unit spread, shape (n, a)."""
-    if not len(blocks):
-        return np.empty((0, 0))
-    one_pose = all(len(np.unique(blocks.pose[blocks.session == s])) == 1 for s in np.unique(blocks.session))
-    columns = np.hstack((blocks.gyro, blocks.accel)) if one_pose else blocks.gyro
-    columns = columns[:, np.isfinite(columns).all(axis=0)]
-    spread = columns.std(axis=0)
-    return np.asarray((columns - columns.mean(axis=0))[:, spread > 0.0] / spread[spread > 0.0])
+    search = np.arange(0.0, LONGEST_LAG_S, SEARCH_S)
+    lag = float(search[np.argmin([np.log((residual(s) ** 2).mean(axis=0)).sum() for s in search])])
+    for _ in range(3):
+        left = residual(lag)
+        weight = 1.0 / (left**2).mean(axis=0)
+        change = residual(lag - 0.5) - residual(lag + 0.5)  # minus the derivative, per s
+        information = float((weight * change**2).sum())
+        lag += float((weight * change * left).sum()) / information
+    correlated = len(left) / _independent(left)
+    return LagFit(lag_s=max(lag, 0.0), uncertainty_s=math.sqrt(correlated / information))
 
 
 def _spline(temp_c: FloatArray) -> FloatArray:

@@ -14,21 +14,21 @@ standard uncertainties, of table and calibration together, and can be bad from t
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray
+from undrift.arrays import FloatArray
 from undrift.calibration.plausibility import check_axis_order
 from undrift.drift.observe import RateSteps, RestBlocks
-from undrift.drift.offset import StaticFit, TriadDrift, cooling, specific_force, split_by
+from undrift.drift.offset import StaticFit, TriadDrift, specific_force, split_by
 from undrift.drift.rates import ScaleFit
 from undrift.drift.temperature import LagFit, Temperature
 from undrift.errors import Implausible
 from undrift.findings import finding
-from undrift.model import Calibration, Triad, TriadModel, Verdict, level_of
+from undrift.model import Calibration, TriadModel, Verdict, level_of
 from undrift.record import Session, TemperatureSensitivity
-from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, STANDARD_GRAVITY, si_factor
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 
 TURN_ON_DPS = 2.0  # shift from one switch-on to the next (data sheets of consumer gyroscopes have smaller limits)
 FAR_DPS = 10.0  # no switch-on moves an offset so far
@@ -45,109 +45,6 @@ SCALE_PER_C = 1e-3  # allowed for each degree between the reference and the near
 NARROW_C = 5.0  # a table over a smaller range is a table of a single temperature
 MOST_EXTRAPOLATED = 0.25  # largest share of extrapolated nodes
 APART_C, WIDE_C = 1.0, 2.0  # distance to the next set-point, and width from which a set-point is a sweep
-
-# ---- summary of a thermal fit in SI units, per sensor: y = (u - offset) / scale_factor
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TriadSummary:
-    """Offset over temperature of three sensors, with n nodes and k blocks of rest, values in ``unit``."""
-
-    unit: str  # rad/s or m/s2, or the raw unit if the scale factor is unknown
-    seen_c: tuple[float, float]  # lowest and highest temperature of the data, degC
-    temp_c: FloatArray  # (n,), nodes, degC
-    against: str  # reference of the departure: the constant offset, or zero
-    departure: FloatArray  # (n, 3)
-    uncertainty: FloatArray  # (n, 3), standard uncertainty
-    extrapolated: BoolArray  # (n,), True if no data were near
-    slope: FloatArray  # (3,), mean over the temperatures of the data, per K
-    slope_uncertainty: FloatArray  # (3,)
-    half_loop: FloatArray | None = None  # (3,), hysteresis half-width, cooling minus warming, or None if not observable
-    half_loop_uncertainty: FloatArray | None = None  # (3,)
-    turn_on: FloatArray | None = None  # (3,), standard deviation from session to session, or None for a single session
-    block_temp_c: FloatArray = field(default_factory=lambda: np.zeros(0))  # (k,), degC, possibly empty
-    block_departure: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))  # (k, 3)
-    block_cooling: FloatArray = field(default_factory=lambda: np.zeros(0))  # (k,), 1 while cooling, -1 while warming
-
-    @property
-    def usual_uncertainty(self) -> FloatArray:
-        """Median standard uncertainty of the nodes near data, or of all nodes if none is, shape (3,), ``unit``."""
-        observed = self.uncertainty[~self.extrapolated] if not self.extrapolated.all() else self.uncertainty
-        return np.asarray(np.median(observed, axis=0))
-
-    def loop_shown(self, k: int) -> bool:
-        """Return True if the loop of an axis is significant."""
-        half, uncertainty = self.half_loop, self.half_loop_uncertainty
-        return half is not None and uncertainty is not None and abs(half[k]) > SIGNIFICANT * uncertainty[k]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ScaleSummary:
-    """Scale factors over temperature minus the calibration's, %, at n nodes and S soaks."""
-
-    temp_c: FloatArray  # (n,), nodes, degC
-    percent: FloatArray  # (n, 3)
-    uncertainty: FloatArray  # (n, 3), standard uncertainty
-    extrapolated: BoolArray  # (n,), True if no data were near
-    soak_temp_c: FloatArray  # (S,), degC
-    soak_percent: FloatArray  # (S, 3), of each soak, or NaN for an axis that did not turn
-    soak_uncertainty: FloatArray  # (S, 3)
-
-
-def summarise(calibrated: Triad, fit: TriadDrift | None) -> TriadSummary | None:
-    """Return the offsets of a triad over temperature, with blocks and loop if the table has a fit, or None without a table."""
-    table, model = calibrated.offsets, calibrated.model
-    if table is None or model is None or table.uncertainty is None or table.extrapolated is None:
-        return None
-    factor = model.si_per_reading(calibrated.quantity)
-    departure, uncertainty = (table.value - model.offset) * factor, table.uncertainty * factor
-    observed = np.flatnonzero(~table.extrapolated)
-    first, last = (observed[0], observed[-1]) if len(observed) > 1 else (0, -1)
-    span_c = table.temp_c[last] - table.temp_c[first]
-    summary = TriadSummary(
-        unit=SI_UNIT[calibrated.quantity],
-        seen_c=(float(table.temp_c[first]), float(table.temp_c[last])),
-        temp_c=table.temp_c,
-        against="zero" if model.method == "nominal" else "the constant offset",
-        departure=departure,
-        uncertainty=uncertainty,
-        extrapolated=table.extrapolated,
-        slope=(departure[last] - departure[first]) / span_c,
-        slope_uncertainty=np.hypot(uncertainty[last], uncertainty[first]) / span_c,
-    )
-    if fit is None:
-        return summary
-    half, half_uncertainty = fit.hysteresis, fit.hysteresis_uncertainty
-    return replace(
-        summary,
-        seen_c=fit.span_c,
-        half_loop=None if half is None else half * factor,
-        half_loop_uncertainty=None if half_uncertainty is None else half_uncertainty * factor,
-        turn_on=None if fit.turn_on is None else np.sqrt(fit.turn_on.variance) * factor,
-        block_temp_c=fit.offsets.blocks.temp_c,
-        block_departure=(fit.offsets.value - fit.gravity - model.offset) * factor,
-        block_cooling=cooling(fit.offsets.blocks),
-    )
-
-
-def summarise_scale(fit: ScaleFit | None, device: Calibration) -> ScaleSummary | None:
-    """Return scale factors over temperature relative to the calibration."""
-    if device.gyro is None or fit is None or fit.drift.gyro_matrix is None or fit.drift.gyro_uncertainty is None:
-        return None
-    soaks, matrix, uncertainty = fit.soaks, fit.drift.gyro_matrix, fit.drift.gyro_uncertainty
-    unit = si_factor(device.gyro.unit_out, "rate")
-    constant = device.gyro.forward_matrix.diagonal() / unit
-    scale = np.linalg.inv(matrix).diagonal(axis1=1, axis2=2) / unit
-    share = uncertainty.diagonal(axis1=1, axis2=2) / matrix.diagonal(axis1=1, axis2=2)
-    return ScaleSummary(
-        temp_c=fit.drift.temp_c,
-        percent=100.0 * (scale / constant - 1.0),
-        uncertainty=100.0 * np.abs(share),
-        extrapolated=np.zeros(len(scale), bool) if fit.drift.gyro_extrapolated is None else fit.drift.gyro_extrapolated,
-        soak_temp_c=soaks.temp_c,
-        soak_percent=100.0 * (soaks.forward.diagonal(axis1=1, axis2=2) / constant - 1.0),
-        soak_uncertainty=100.0 * np.sqrt(soaks.variance.diagonal(axis1=1, axis2=2)) / np.abs(constant),
-    )
 
 
 def _dps(model: TriadModel) -> FloatArray:
@@ -278,12 +175,12 @@ def _guess_unit(reading: FloatArray, constant: FloatArray) -> str:
 
 
 def lag_verdict(lag: LagFit) -> Verdict:
-    """Return why a lag was not subtracted, if it is not observable."""
-    missing = finding("drift.not_observable", "info", what="Thermometer lag", problem=f"{lag.problem} {_TWO_SPEEDS}")
-    return Verdict.of(missing) if lag.problem else Verdict()
-
-
-_TWO_SPEEDS = "Record ramps up and down at two speeds, for example 0.5 and 3 degC/min."
+    """Return a finding if the lag is not observable."""
+    problem = (
+        "it is not separate from hysteresis. Record ramps up and down at two speeds, for example 0.5 and 3 degC/min."
+    )
+    missing = finding("drift.not_observable", "info", what="Thermometer lag", problem=problem)
+    return Verdict() if np.isfinite(lag.uncertainty_s) else Verdict.of(missing)
 
 
 def rests_verdict(sessions: Sequence[Session], rests: RestBlocks, steps: RateSteps) -> Verdict:

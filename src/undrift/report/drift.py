@@ -1,4 +1,4 @@
-"""Pictures of thermal fits: offset, scale and dynamic drift over temperature, choices.
+"""Pictures of thermal fits: offset, scale and dynamic drift over temperature.
 
 Warming is red and cooling blue. Ranges without data are hatched.
 """
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from undrift.arrays import runs
-from undrift.commands.drift import shown_unit
+from undrift.commands.drift import TriadSummary, shown_unit, summarise
 from undrift.errors import InputError
 from undrift.model import AXES
 from undrift.report import figures
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from undrift.arrays import BoolArray, FloatArray
-    from undrift.drift.fit import Choice, DriftFit
-    from undrift.drift.verdict import ScaleSummary, TriadSummary
+    from undrift.drift.fit import DriftFit
+    from undrift.drift.rates import ScaleFit
     from undrift.model import DynamicDrift
 
 # ---- pictures
@@ -32,7 +32,7 @@ _CURVES = 5  # temperatures of the dynamic drift that are drawn
 _WARM, _COOL = "#c23b3b", "#2b62b3"
 
 
-def draw_offsets(summary: "TriadSummary") -> "Figure":
+def draw_offsets(summary: TriadSummary) -> "Figure":
     """Draw offset over temperature: blocks while warming and cooling, table with its nodes and 95 % band, extrapolated
     ranges.
     """
@@ -46,11 +46,10 @@ def draw_offsets(summary: "TriadSummary") -> "Figure":
         panels[2 * k].set_ylabel(f"{axis} ({unit})")
     for axes in panels[-2:]:
         axes.set_xlabel("temperature (degC)")
-    against = "" if summary.against == "zero" else f" less {summary.against}"
-    panels[0].set_title(f"offset{against}", loc="left", fontsize=10)
-    second = "offset minus the table" if len(summary.block_temp_c) else "uncertainty of the table"
+    panels[0].set_title("offset less the constant offset", loc="left", fontsize=10)
+    second = "offset minus the table" if summary.fit else "uncertainty of the table"
     panels[1].set_title(second, loc="left", fontsize=10)
-    if not len(summary.block_temp_c):
+    if summary.fit is None:
         figures.entitle(figure, "All poses together: a pose has no single offset")
     figures.legend_outside(figure, *panels[1].get_legend_handles_labels())
     return figure
@@ -58,20 +57,22 @@ def draw_offsets(summary: "TriadSummary") -> "Figure":
 
 def draw_drift(fit: "DriftFit") -> "Figure":
     """Draw the offsets over temperature, of the gyroscopes where they were fitted."""
-    summary = fit.gyro_summary or fit.accel_summary
+    summary = summarise(fit, "gyro") or summarise(fit, "accel")
     if summary is None:
         raise InputError("plot: expected offsets over temperature, got none. Fit a static table first.")
     return draw_offsets(summary)
 
 
-def _draw_blocks(axes: "Axes", summary: "TriadSummary", k: int, factor: float, value: "FloatArray") -> "FloatArray":
+def _draw_blocks(axes: "Axes", summary: TriadSummary, k: int, factor: float, value: "FloatArray") -> "FloatArray":
     """Draw the blocks about a level and return where they lie."""
-    step = max(1, len(summary.block_temp_c) // MOST_POINTS)
-    temp, state = summary.block_temp_c[::step], summary.block_cooling[::step]
-    if not len(temp):
+    if summary.fit is None:
         return np.zeros(0)
+    step = max(1, len(summary.block_cooling) // MOST_POINTS)
+    offsets, state = summary.fit.offsets, summary.block_cooling[::step]
+    temp = offsets.blocks.temp_c[::step]
+    reading = (offsets.value - summary.fit.gravity - summary.constant)[::step, k] * summary.factor[k] * factor
     table = np.interp(temp, summary.temp_c, summary.departure[:, k] * factor)
-    departure: FloatArray = summary.block_departure[::step, k] * factor - table + np.interp(temp, summary.temp_c, value)
+    departure: FloatArray = reading - table + np.interp(temp, summary.temp_c, value)
     marks = (
         (state < 0.0, "^", _WARM, "warming"),
         (state > 0.0, "v", _COOL, "cooling"),
@@ -85,7 +86,7 @@ def _draw_blocks(axes: "Axes", summary: "TriadSummary", k: int, factor: float, v
     return departure
 
 
-def _draw_level(axes: "Axes", summary: "TriadSummary", k: int, factor: float, value: "FloatArray") -> None:
+def _draw_level(axes: "Axes", summary: TriadSummary, k: int, factor: float, value: "FloatArray") -> None:
     """Draw blocks and table about a level. They fill the panel. A band that is wide outside the data leaves the panel."""
     temp, doubt, near = summary.temp_c, NORMAL_95 * summary.uncertainty[:, k] * factor, ~summary.extrapolated
     _shade(axes, temp, summary.extrapolated)
@@ -94,11 +95,6 @@ def _draw_level(axes: "Axes", summary: "TriadSummary", k: int, factor: float, va
         temp, value - doubt, value + doubt, color=figures.LIMIT, alpha=0.3, linewidth=0.0, label="95 %", zorder=2
     )
     axes.plot(temp, value, color="black", marker=".", markersize=2.5, linewidth=0.9, label="table", zorder=4)
-    half = summary.half_loop
-    if summary.loop_shown(k) and half is not None:
-        for sign, colour, name in ((1.0, _COOL, "cooling branch"), (-1.0, _WARM, "warming branch")):
-            course = value + sign * half[k] * factor
-            axes.plot(temp, course, color=colour, linestyle="--", linewidth=0.9, label=name, zorder=3)
     spread = np.quantile(departures, (0.002, 0.998)) if len(departures) else departures
     every = np.concatenate((value, (value - doubt)[near], (value + doubt)[near], spread))
     low, high = float(every.min()), float(every.max())
@@ -115,27 +111,30 @@ def _shade(axes: "Axes", temp_c: "FloatArray", extrapolated: "BoolArray") -> Non
         axes.axvspan(float(low), float(high), label="extrapolated" if k == 0 else None, **hatched)
 
 
-def draw_scale(summary: "ScaleSummary") -> "Figure":
+def draw_scale(fit: "ScaleFit") -> "Figure":
     """Draw scale factors over temperature: soaks with 95 % bars, table with its band, extrapolated ranges. Only axes
     that turned are drawn.
     """
-    axes_turned = [k for k in range(3) if np.isfinite(summary.soak_percent[:, k]).any()]
+    soaks, temp = fit.soaks, fit.drift.temp_c
+    scales = soaks.forward.diagonal(axis1=1, axis2=2)
+    axes_turned = [k for k in range(3) if np.isfinite(scales[:, k]).any()]
     figure, panels = figures.new_figure(len(axes_turned), height=1.8)
     for k, axes in zip(axes_turned, panels, strict=True):
-        temp, value, doubt = summary.temp_c, summary.percent[:, k], NORMAL_95 * summary.uncertainty[:, k]
-        _shade(axes, temp, summary.extrapolated)
+        per_cent = 100.0 / np.nanmean(scales[:, k])
+        value, doubt = fit.forward[:, k, k] * per_cent - 100.0, NORMAL_95 * fit.uncertainty[:, k, k] * abs(per_cent)
+        _shade(axes, temp, np.asarray(fit.drift.gyro_extrapolated))
         if np.isfinite(doubt).all():
             axes.fill_between(
                 temp, value - doubt, value + doubt, label="95 %", color=figures.LIMIT, alpha=0.3, linewidth=0.0
             )
         axes.plot(temp, value, color="black", marker=".", markersize=2.5, linewidth=0.9, label="table")
-        soaks, bars = summary.soak_percent[:, k], NORMAL_95 * summary.soak_uncertainty[:, k]
+        bars = NORMAL_95 * np.sqrt(soaks.variance[:, k, k]) * abs(per_cent)
         style: Any = {"fmt": "o", "markersize": 3.5, "color": figures.DEVICE, "linewidth": 0.9}
-        axes.errorbar(summary.soak_temp_c, soaks, yerr=bars, label="soaks, 95 %", **style)
+        axes.errorbar(soaks.temp_c, scales[:, k] * per_cent - 100.0, yerr=bars, label="soaks, 95 %", **style)
         axes.set_ylabel(f"{AXES[k]} (%)")
         axes.set_xlim(float(temp[0]), float(temp[-1]))
     panels[-1].set_xlabel("temperature (degC)")
-    panels[0].set_title("scale factor against the calibration's", loc="left", fontsize=10)
+    panels[0].set_title("scale factor against its mean", loc="left", fontsize=10)
     figures.legend_outside(figure, *panels[0].get_legend_handles_labels())
     return figure
 
@@ -160,23 +159,4 @@ def draw_dynamic(drift: "DynamicDrift") -> "Figure":
         axes.set_ylabel(f"{axis}: correction (deg/s)")
     panels[-1].set_xlabel("measured rate (deg/s)")
     figures.legend_outside(figure, *panels[0].get_legend_handles_labels())
-    return figure
-
-
-def draw_alternatives(choice: "Choice") -> "Figure":
-    """Draw the cross-validated error of each choice of tables."""
-    from undrift.drift.fit import ALTERNATIVES
-
-    figure, (axes,) = figures.new_figure(1, height=1.9)
-    rows = [k for k, value in enumerate(choice.left_out_rms_dps) if np.isfinite(value)]
-    names = []
-    for place, k in enumerate(rows):
-        error, taken = choice.left_out_rms_dps[k], ALTERNATIVES[k] == choice.chosen
-        style: Any = {"markersize": 7.0 if taken else 5.0, "color": figures.ERROR if taken else figures.DEVICE}
-        reach = min(choice.standard_error_dps[k], 0.9 * error)
-        axes.errorbar(error, place, xerr=reach, fmt="o", capsize=3.0, **style)
-        names.append(ALTERNATIVES[k] + " (chosen)" * taken)
-    axes.set_yticks(range(len(rows)), names)
-    label = "error of soaks left out\n(deg/s rms, with standard error)"
-    axes.set(ylim=(len(rows) - 0.4, -0.6), xscale="log", xlabel=label)
     return figure

@@ -85,7 +85,7 @@ DYNAMIC = Branch(
     (
         NoteStep("Output at the imposed angular velocities", ("drift.observe.observe_steps",)),
         NoteStep("Function of the dynamic drift, by splines", ("drift.rates.fit_scale", "drift.rates.fit_dynamic")),
-        NoteStep("Tuning table, over velocity and temperature", ("drift.fit.choose_tables",)),
+        NoteStep("Tuning table, over velocity and temperature", ("drift.fit.fit_drift",)),
     ),
 )
 AFTER = (

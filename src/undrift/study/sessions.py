@@ -190,7 +190,7 @@ def calibrate_by(
     soaks = simulate_thermal_session("soak", device, rng=streams("chamber"), settings=thermal)
     choices = DriftSettings()
     if fit == "paper":
-        choices = replace(choices, static=StaticSettings(not_a_knot=True), tables="scale + dynamic")
+        choices = replace(choices, static=StaticSettings(not_a_knot=True))
     return fit_drift((soaks,), calibration, settings=choices).calibration
 
 

@@ -190,11 +190,11 @@ class Check(NamedTuple):
 def compare_with_truth(fit: BenchFit, trials: tuple[Trial, ...], device: DeviceModel) -> tuple[Check, ...]:
     """Compare the fits with the hidden truth, and the errors of the trial with each other."""
     estimate, true = fit.constant, true_calibration(device, temp_c=ROOM_TEMP_C)
-    tables, summary = fit.drift.calibration.drift, fit.drift.gyro_summary
-    if tables is None or tables.static is None or summary is None:
+    tables, observed = fit.drift.calibration.drift, fit.drift.static.gyro
+    if tables is None or tables.static is None or observed is None:
         raise InputError("tables: no offsets over temperature. Run the thermal programme.")
     nodes = tables.static.temp_c
-    covered = (nodes >= summary.seen_c[0]) & (nodes <= summary.seen_c[1])
+    covered = (nodes >= observed.span_c[0]) & (nodes <= observed.span_c[1])
     thermometer = device.thermometer  # settled: from its reading to the temperature of the board
     board = nodes[covered] - thermometer.trim_error_c - thermometer.self_heating_c
     warm = true_tables(device, board, np.array([-1.0, 0.0, 1.0]))
