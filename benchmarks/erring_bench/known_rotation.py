@@ -16,7 +16,6 @@ from undrift.calibration.known_rotation import calibrate_turns
 from undrift.calibration.session import observe
 from undrift.calibration.settings import CalibrateSettings
 from undrift.calibration.six_face import calibrate_faces
-from undrift.calibration.sources import offset_drift
 from undrift.errors import Implausible
 from undrift.model import Verdict
 from undrift.record import Session, Still, Turn
@@ -113,8 +112,7 @@ def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
         except Implausible:  # coarse codes that repeat at the top of a turn look saturated: n is smaller
             continue
         assert turns_fit.fit is not None
-        drifted = offset_drift(observed, float(np.linalg.norm(turns_fit.fit.model.matrix, 2)))
-        verdict = Verdict.of(*observed.findings, *turns_fit.findings, *drifted).also(turns_fit.fit.verdict)
+        verdict = Verdict.of(*observed.findings, *turns_fit.findings).also(turns_fit.fit.verdict)
         tally.add_model(verdict, turns_fit.fit.model, matrix, offset)
     yield from tally.rows()
 

@@ -33,7 +33,7 @@ from undrift.calibration.reference_accel import fit_reference_accel, turned_like
 from undrift.calibration.session import Observed, Outcome, at_one_temperature, observe
 from undrift.calibration.settings import AccelFit, CalibrateSettings, GyroFit, Mode
 from undrift.calibration.six_face import calibrate_faces
-from undrift.calibration.sources import creep_of, offset_drift
+from undrift.calibration.sources import creep_of
 from undrift.calibration.triads import check_triads
 from undrift.errors import CalibrationError, Implausible, InputError, NotObservable, check_choice
 from undrift.findings import Finding, Level, finding
@@ -218,7 +218,7 @@ def _gravity_assumed(gravity_m_s2: float, level: Level) -> Finding:
 
 
 def _doubts(observed: Observed, accel: Outcome, gyro: Outcome) -> Iterator[Finding]:
-    """Yield findings about a doubtful latitude, gravity or gyroscope scale, and about the drift at rest."""
+    """Yield findings about a doubtful latitude, gravity or gyroscope scale, and about the pieces."""
     latitude_deg = observed.settings.latitude_deg
     if latitude_deg is not None and LATITUDE_LIKE_RADIANS[0] < abs(latitude_deg) < LATITUDE_LIKE_RADIANS[1]:
         as_degrees = f"{latitude_deg:g} rad are {latitude_deg / RADIAN_PER_DEGREE:.4g} deg"
@@ -232,8 +232,6 @@ def _doubts(observed: Observed, accel: Outcome, gyro: Outcome) -> Iterator[Findi
             gyro.fit.model.scale_factor, gyro.fit.model.unit_in, largest, rates_given=rates_given
         )
     yield from observed.findings
-    if gyro.fit is not None:
-        yield from offset_drift(observed, float(np.linalg.norm(gyro.fit.model.matrix, 2)))
 
 
 def _observe_restored(session: Session, settings: CalibrateSettings) -> tuple[AdcModel | None, Observed]:

@@ -6,7 +6,7 @@ A fit calls these before it trusts its data and after it has an answer. Every ch
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 
@@ -105,44 +105,36 @@ MANY_VALUES = 20  # different readings (fewer are a constant or steps, without a
 NEAR_ZERO = 0.1  # relative to the largest reading: a level nearer to zero is the rest of a motion to one side
 
 
-class Stuck(NamedTuple):
-    """Readings of an axis at the end of the range."""
-
-    axis: int
-    reading: float
-    samples: int
-
-
-def stuck_axis(windows: Sequence[FloatArray]) -> Stuck | None:
-    """Return the first saturated axis, or None. All windows (n_i, 3) are judged together."""
-    for axis, column in enumerate(np.concatenate(windows).T if len(windows) else ()):
-        limits = [limit for limit, _ in saturated_runs(column)]
-        values, counts = np.unique(column[np.isfinite(column)], return_counts=True)
-        if len(values) > MANY_VALUES:  # most readings at one end, which ``saturated_runs`` considers the usual level
-            nonzero = np.abs(values) > NEAR_ZERO * np.abs(values[[0, -1]]).max()
-            limits += [float(values[k]) for k in (0, -1) if nonzero[k] and 2 * counts[k] > len(column)]
-        if limits:
-            return Stuck(axis, limits[0], int((column == limits[0]).sum()))
-    return None
+def end_readings(column: FloatArray) -> list[float]:
+    """Return the readings at which a column (N,) sticks because the range ends."""
+    limits = [limit for limit, _ in saturated_runs(column)]
+    values, counts = np.unique(column[np.isfinite(column)], return_counts=True)
+    if len(values) > MANY_VALUES:  # most readings at one end, which ``saturated_runs`` considers the usual level
+        nonzero = np.abs(values) > NEAR_ZERO * np.abs(values[[0, -1]]).max()
+        limits += [float(values[k]) for k in (0, -1) if nonzero[k] and 2 * counts[k] > len(column)]
+    return limits
 
 
 def stuck_windows(windows: Sequence[FloatArray]) -> BoolArray:
-    """Return True for each window (n_i, 3) that has saturated readings."""
+    """Return True for each window (n_i, 3) that has saturated readings. All windows are judged together."""
     saturated = np.zeros(len(windows), dtype=bool)
-    while stuck := stuck_axis([window for window, skip in zip(windows, saturated, strict=True) if not skip]):
-        saturated |= [bool((window[:, stuck.axis] == stuck.reading).any()) for window in windows]
+    for axis, column in enumerate(np.concatenate(windows).T if len(windows) else ()):
+        limits = end_readings(column)
+        saturated |= [bool(np.isin(window[:, axis], limits).any()) for window in windows]
     return saturated
 
 
 def check_range(windows: Sequence[FloatArray], what: str) -> None:
     """Raise Implausible if an axis is saturated. All windows (n_i, 3) are judged together."""
-    if stuck := stuck_axis(windows):
-        raise Implausible(
-            f"{what}: {stuck.samples} samples of {AXES[stuck.axis]} are stuck at {stuck.reading:g}, the end of the range. Choose a "
-            "wider range or move more slowly.",
-            samples=stuck.samples,
-            extreme=stuck.reading,
-        )
+    for axis, column in enumerate(np.concatenate(windows).T if len(windows) else ()):
+        for limit in end_readings(column):
+            samples = int((column == limit).sum())
+            raise Implausible(
+                f"{what}: {samples} samples of {AXES[axis]} are stuck at {limit:g}, the end of the range. Choose a wider range or "
+                "move more slowly.",
+                samples=samples,
+                extreme=limit,
+            )
 
 
 def without_saturated(record: Record) -> tuple[Record, tuple[Finding, ...]]:

@@ -22,7 +22,7 @@ import numpy as np
 from undrift import segments
 from undrift.arrays import FloatArray
 from undrift.calibration.codes import code_steps, mean_rounding
-from undrift.calibration.plausibility import stuck_axis
+from undrift.calibration.plausibility import stuck_windows
 from undrift.errors import Implausible, InputError
 from undrift.findings import Finding, Level, finding, told_apart
 from undrift.fit.gls import block_size, noise_of_means
@@ -185,7 +185,7 @@ def _discard_settling(session: Session, turn: Turn, settle_s: float) -> FloatArr
 def saturated_turns(session: Session, settle_s: float) -> tuple[int, ...]:
     """Return the numbers of the turns in which a gyroscope sticks at the end of its range."""
     windows = [_discard_settling(session, turn, settle_s) for turn in session.turns]
-    return tuple(number for number, window in enumerate(windows) if len(window) and stuck_axis([window]))
+    return tuple(number for number, window in enumerate(windows) if len(window) and stuck_windows([window])[0])
 
 
 def _smooth_rate(session: Session, stills: tuple[Still, ...], turn: Turn, settle_s: float) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Sources of error between the pieces of a session: flicker and walk of an offset, drift of the rests, and temperature.
+"""Sources of error between the pieces of a session: flicker, walk and drift of an offset, and temperature.
 
 Offset and scale of each sensor depend on temperature with slopes of known size only. Piece p, a still or turn, is at w_p kelvin
 above the calibration's reference temperature. A sensor reads in it
@@ -20,7 +20,7 @@ from typing import Literal
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration.quality import mean_reading, piece_temperatures
+from undrift.calibration.quality import piece_temperatures
 from undrift.calibration.session import Observed, middles
 from undrift.findings import Finding, finding, told_apart
 from undrift.fit.priors import GYRO_FLICKER, REST_DRIFT
@@ -78,7 +78,7 @@ def steady_drift(span: FloatArray) -> FloatArray:
 def gyro_drift(span: FloatArray) -> FloatArray:
     """Return the covariance (3 E, 3 E) of the offset of gyroscopes about its mean, (rad/s)^2, for pieces (E, 2), s.
 
-    The sources are flicker and a steady drift. The drift has the size above which it becomes a finding.
+    The sources are flicker and a steady drift.
     """
     return np.kron(GYRO_FLICKER**2 * flicker_about_mean(span) + REST_DRIFT**2 * steady_drift(span), np.eye(3))
 
@@ -101,54 +101,6 @@ def slip_covariance(time: FloatArray, reading: FloatArray) -> FloatArray:
     """Return the covariance (3, 3) of the integral of readings (N, 3) due to the scatter of their time stamps, (unit s)^2."""
     change = np.diff(reading, axis=0)
     return np.asarray(0.5 * np.diff(time).var() * change.T @ change)
-
-
-# ---- drift of the gyroscopes' rest offsets between start and end of a session
-#
-# m_r = o + d (t_r - mean t) / T + h a_r + e_r        rests at times t_r, with T from the first to the last
-#
-# for each axis by least squares. h a_r, the g-sensitivity along the axes on which gravity changes, is fitted to six rests or more.
-# A drift is a finding if chance explains a drift of this size on any axis in less than one session in a hundred.
-
-LEAST_RESTS, LEAST_WITH_POSES = 4, 6
-POSES_CHANGE = 0.1  # relative to gravity
-CHANCE = 0.01
-
-
-def offset_drift(observed: Observed, gain: float) -> tuple[Finding, ...]:
-    """Return a finding if rest offsets changed significantly over a session, for a gain in rad/s per unit of the readings."""
-    from scipy.special import stdtr, stdtrit
-
-    records = observed.session.records
-    rates = np.array([mean_reading(records[s.recording].gyro, s.start, s.stop) for s in observed.stills]).reshape(-1, 3)
-    stills = [still for still, rate in zip(observed.stills, rates, strict=True) if np.isfinite(rate).all()]
-    if observed.session.kind == "thermal" or len(stills) < LEAST_RESTS:
-        return ()
-    time = middles(records, stills)
-    force = np.array([mean_reading(records[s.recording].accel, s.start, s.stop) for s in stills])
-    changing_axes = np.ptp(force, axis=0) > POSES_CHANGE * np.linalg.norm(force, axis=1).mean()
-    poses = (force - force.mean(axis=0))[:, changing_axes & (len(stills) >= LEAST_WITH_POSES)]
-    poses /= np.linalg.norm(poses, axis=0)
-    design = np.column_stack(((time - time.mean()) / (float(np.ptp(time)) or np.inf), np.ones(len(time)), poses))
-    theta, square, rank, _ = np.linalg.lstsq(design, rates[np.isfinite(rates).all(axis=1)], rcond=None)
-    freedom, change = len(stills) - design.shape[1], theta[0] * gain
-    if rank < design.shape[1] or freedom < 1:
-        return ()
-    sigma = gain * np.sqrt(square / freedom * np.linalg.inv(design.T @ design)[0, 0])
-    significant = 3.0 * 2.0 * stdtr(freedom, -np.abs(change) / np.maximum(sigma, 1e-300)) < CHANCE
-    if not significant.any():
-        return ()
-    axis = int(np.argmax(np.where(significant, np.abs(change), 0.0)))
-    drift = finding(
-        "session.offset_drift",
-        "warn" if abs(change[axis]) > REST_DRIFT else "info",
-        axis=AXES[axis],
-        change_dps=change[axis] / RADIAN_PER_DEGREE,
-        uncertainty_dps=float(stdtrit(freedom, 0.975)) * sigma[axis] / RADIAN_PER_DEGREE,
-        rests=len(stills),
-        minutes=float(np.ptp(time)) / 60.0,
-    )
-    return (drift,)
 
 
 # ---- temperature
