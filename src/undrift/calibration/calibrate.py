@@ -557,7 +557,7 @@ def _fit_field(records: Sequence[Record], fit: InMotion) -> FieldFit:
             rate = _rate_in_motion(record, fit, number)
             force = (np.asarray(record.accel) - fit.accel.model.offset) @ fit.accel.model.matrix.T
             offset_sigma = float(fit.offset_uncertainty[number].max()) * fit.units[0]
-            attitude = filtered_attitude(record.time, rate, force, offset_sigma=offset_sigma)
+            attitude, _ = filtered_attitude(record.time, rate, force, offset_sigma=offset_sigma)
             readings[number] = (record.time, record.mag_ut, attitude)
     if not any(readings):
         raise InputError(

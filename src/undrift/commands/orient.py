@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from undrift.base.options import Flag, Output, Side, verb
-from undrift.base.summary import Result, Section, Summary, figure_of, interval, number, rows_section
+from undrift.base.summary import Result, Section, Summary, figure_of, number
 from undrift.commands import Progress, reading, silent
 from undrift.commands.batch import of_folder
 from undrift.commands.calibration_file import choose_calibration
@@ -97,13 +97,6 @@ class Oriented(Result):
             "inclination: {:.2f} to {:.2f} deg".format(*data["inclination_deg"]),
             "pitch: {:.2f} to {:.2f} deg".format(*data["pitch_deg"]),
         )
-        rests = [
-            {
-                "from, to (s)": interval(times, ".2f"),
-                "offset, x y z (deg/s)": ", ".join(f"{rate:.4f}" for rate in rates),
-            }
-            for times, rates in zip(data["rests"], data["rest_offsets_dps"], strict=True)
-        ]
         uncertainty = f"Offset: standard uncertainty {data['offset_uncertainty_dps']:.4f} deg/s, all axes together."
         # A page shows all findings
         offset = tuple(item.text for item in orientation.findings if item.code in _SHOWN)
@@ -112,9 +105,8 @@ class Oriented(Result):
         sections = [
             Section(title="Files", text=(f"{files}: {len(orientation.time)} samples",), on="terminal"),
             Section(title=f"Angles, {len(orientation.time)} samples", columns=heads, rows=rows, on="page"),
-            Section(title="How it was found", text=lines),
+            Section(title="How it was found", text=(*lines, uncertainty)),
             Section(title="Offset, north and mounting", text=offset, on="terminal"),
-            rows_section("Rests", rests, text=(uncertainty,), folded=True),
             Section(title="Warnings", text=warnings, on="terminal"),
         ]
         verdict = None if self.calibration is None else self.calibration.verdict
@@ -234,8 +226,6 @@ def _data(orientation: "Orientation") -> dict[str, Any]:
         "tilt_basis": orientation.tilt.basis,
         "offset_dps": orientation.offset * (180.0 / math.pi),
         "offset_uncertainty_dps": math.degrees(orientation.offset_uncertainty),
-        "rests": [times(still) for still in orientation.rests],
-        "rest_offsets_dps": orientation.rest_offsets * (180.0 / math.pi),
         "inclination_deg": _spread(orientation.inclination)[::2],
         "pitch_deg": _spread(orientation.pitch)[::2],
         "findings": findings_json(orientation.findings),

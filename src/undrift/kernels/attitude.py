@@ -10,30 +10,18 @@ from undrift.arrays import FloatArray
 from undrift.units import RADIAN_PER_DEGREE
 
 MIN_OFFSET_SIGMA_DPS = 1e-3  # prior of the filter's offset: below it the filter would not follow a real change for long
+ACC_S = 3.0  # time constant with which the inclination follows the accelerometers, s
 UNEVEN = 0.1  # largest deviation from the median step without interpolation to an even grid
 
 
 def filtered_attitude(
-    time: FloatArray, rate: FloatArray, force: FloatArray, *, offset_sigma: float, acc_s: float = 3.0
-) -> FloatArray:
-    """Return q_nb (N, 4), with a drifting heading, from corrected rates (N, 3), rad/s, and specific force (N, 3), m/s2.
-
-    ``offset_sigma`` is the standard uncertainty of the rate's offset, rad/s. ``acc_s`` is the time constant, s, with which the
-    inclination follows the accelerometers.
-    """
-    return filtered_with_field(time, rate, force, None, offset_sigma=offset_sigma, acc_s=acc_s)[0]
-
-
-def filtered_with_field(
-    time: FloatArray,
-    rate: FloatArray,
-    force: FloatArray,
-    mag_ut: FloatArray | None,
-    *,
-    offset_sigma: float,
-    acc_s: float = 3.0,
+    time: FloatArray, rate: FloatArray, force: FloatArray, mag_ut: FloatArray | None = None, *, offset_sigma: float
 ) -> tuple[FloatArray, float]:
-    """Return q_nb (N, 4) with the heading of a magnetic field (N, 3), and the share of time in which the field was disturbed."""
+    """Return q_nb (N, 4), and the share of time in which the magnetic field was disturbed.
+
+    Rates (N, 3) are in rad/s, specific force (N, 3) in m/s2. Without the field (N, 3) the heading drifts. ``offset_sigma`` is the
+    standard uncertainty of the rate's offset, rad/s.
+    """
     from scipy.spatial.transform import Rotation, Slerp
     from vqf import offlineVQF
 
@@ -49,7 +37,7 @@ def filtered_with_field(
     gyr, acc, *mag = (
         np.ascontiguousarray(columns) for columns in np.split(values, range(3, values.shape[1], 3), axis=1)
     )
-    out = offlineVQF(gyr, acc, mag[0] if mag else None, step, {"biasSigmaInit": sigma_dps, "tauAcc": acc_s})
+    out = offlineVQF(gyr, acc, mag[0] if mag else None, step, {"biasSigmaInit": sigma_dps, "tauAcc": ACC_S})
     q: FloatArray = out["quat9D" if mag else "quat6D"]
     disturbed = float(out["magDistDetected"].mean()) if mag else 0.0
     if uneven:
