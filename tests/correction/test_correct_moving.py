@@ -12,14 +12,16 @@ from hypothesis import strategies as st
 from testkit import twins
 from testkit.full_calibration import ROUNDINGS, device, record, tables
 from undrift.correction.correct import Corrector, correct_checked
-from undrift.correction.rest import find_rest_offset
+from undrift.correction.rest import rest_offset
 from undrift.export.c import export_c
 from undrift.export.losses import losses
 from undrift.io.store import read_calibration, write_calibration
 from undrift.model import CODE_NAMES, MATRIX_NAMES, MOVING_NAMES, OFFSET_NAMES
+from undrift.record import Still
 from undrift.segments import find_turning
 
 N = 1200
+FIRST = Still(start=0, stop=290)  # a rest of 2.9 s
 MOVING, CODE = np.array([0.02, -0.01, 0.03]), np.array([0.4, -0.3, 0.7])  # rad/s, counts
 CLOSE = 1e-13
 
@@ -95,10 +97,10 @@ def test_the_rest_is_subtracted_once():
     c = moving(g=False)
     r = turns_and_rests(c)
     later = replace(r, gyro=np.asarray(r.gyro) + 3.0)
-    rest = find_rest_offset(correct_checked(later, c).record, (0.0, 2.9))
+    rest = rest_offset(correct_checked(later, c).record, FIRST)
     named = correct_checked(later, c, offset=rest).record.gyro
     np.testing.assert_allclose(named[:280].mean(axis=0), 0.0, atol=1e-12)
-    before = correct_checked(r, c, offset=find_rest_offset(correct_checked(r, c).record, (0.0, 2.9))).record.gyro
+    before = correct_checked(r, c, offset=rest_offset(correct_checked(r, c).record, FIRST)).record.gyro
     np.testing.assert_allclose(named[300:520], before[300:520], rtol=0, atol=2e-3)  # but for codes about zero
 
 

@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from testkit.full_calibration import ROUNDINGS, WILD, N, device, record, tables
-from undrift.correction.correct import Corrector, DriftRangeWarning, correct, correct_checked, read_ahead
+from undrift.commands.correct import read_ahead
+from undrift.correction.correct import Corrector, DriftRangeWarning, correct, correct_checked
 from undrift.errors import DriftRangeError, InputError
 
 STREAMED = [

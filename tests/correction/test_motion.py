@@ -12,7 +12,7 @@ from testkit.broad_trials import FILES, trial
 from testkit.data import show
 from undrift.arrays import FloatArray
 from undrift.correction.correct import Corrector, correct_checked, correct_whole
-from undrift.correction.motion import STRETCH_S, fit_motion, offset_answer
+from undrift.correction.motion import STRETCH_S, fit_motion
 from undrift.correction.rest import MOVED, RemainingOffset, find_rest_offset
 from undrift.errors import InputError
 from undrift.model import MATRIX_NAMES, MOVING_NAMES, OFFSET_NAMES
@@ -24,6 +24,7 @@ from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.tasks import TaskName, draw_task
 from undrift.sim.sessions import simulate_trial
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+from undrift.validation.expected import offset_answer
 from undrift.validation.trial import TrialSettings, validate_trial
 
 RATE_HZ = 50.0

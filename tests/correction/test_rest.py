@@ -9,11 +9,11 @@ from testkit.data import show
 from testkit.plain_triad import plain_triad
 from undrift.correction import rest as rest_module
 from undrift.correction.correct import Corrector, correct, correct_checked
-from undrift.correction.rest import find_rest_offset, find_rest_offset_in
+from undrift.correction.rest import find_rest_offset, rest_offset
 from undrift.errors import InputError
 from undrift.model import Calibration
 from undrift.orientation import OrientSettings, orient
-from undrift.record import Record, Still
+from undrift.record import Record, Still, joined
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.sessions import simulate_trial
@@ -102,7 +102,7 @@ def test_a_stream_finds_the_rest_of_the_whole_record_and_gives_its_bits(length, 
     size = max(length, 50)
     parts = [record.part(a, min(a + size, len(record))) for a in range(0, len(record), size)]
     before = Corrector(CALIBRATION)
-    found = find_rest_offset_in(before.push(part) for part in parts)
+    found = find_rest_offset(joined([before.push(part) for part in parts]))
     assert found.rest_s == whole.rest.rest_s
     np.testing.assert_array_equal(found.rate, whole.rest.rate)
     stream = Corrector(CALIBRATION, offset=found)
@@ -112,27 +112,14 @@ def test_a_stream_finds_the_rest_of_the_whole_record_and_gives_its_bits(length, 
     assert read <= len(record)
 
 
-def test_no_more_of_a_stream_is_read_than_the_search_needs(monkeypatch):
-    monkeypatch.setattr(rest_module, "FOUND_IN_S", 25.0)
-    record, _ = worn(3, motion_s=60.0)
-    stream = Corrector(CALIBRATION)
-    find_rest_offset_in(stream.push(record.part(a, a + 100)) for a in range(0, 8000, 100))
-    assert stream.state.reach.samples < 2800
-
-
-def test_a_named_stretch_is_taken_and_refused_outside_the_recording():
+def test_a_given_stretch_is_refused_if_it_is_short_or_has_gaps():
     record, _ = worn(5)
-    found = find_rest_offset(record, (2.0, 6.0))
-    assert found.rest_s == (2.0, 5.99)
-    for stretch in ((1.0, None), (3.0, 2.0), (2.0, 1e6)):
-        for find in (find_rest_offset, lambda r, s: find_rest_offset_in(iter([r]), s)):
-            with pytest.raises(InputError, match=r"within the recording's 0 to 39\.99 s"):
-                find(record, stretch)
+    assert rest_offset(record, Still(start=200, stop=600)).rest_s == (2.0, 5.99)
     with pytest.raises(InputError, match=r"rest: expected 10 samples at rest or more, without gaps, got 5 samples"):
-        find_rest_offset(record, (2.0, 2.05))
+        rest_offset(record, Still(start=200, stop=205))
     holed = replace(record, gyro=np.where(np.arange(len(record))[:, None] == 300, np.nan, record.gyro))
     with pytest.raises(InputError, match=r"got 1 gaps \(NaN\)"):
-        find_rest_offset(holed, (2.0, 6.0))
+        rest_offset(holed, Still(start=200, stop=600))
 
 
 def test_a_recording_without_a_rest_or_without_gyroscopes_is_refused_in_one_line():
@@ -144,8 +131,6 @@ def test_a_recording_without_a_rest_or_without_gyroscopes_is_refused_in_one_line
     only = Record(time=np.arange(300) / FS, accel=np.tile([0.0, 0.0, 9.8], (300, 1)))
     with pytest.raises(InputError, match=r"rest: .*Omit `offset`"):
         correct(only, CALIBRATION, offset="rest")
-    with pytest.raises(InputError, match=r"rest: .*no samples"):
-        find_rest_offset_in(iter(()))
 
 
 def test_correct_orient_and_validate_subtract_the_mean_of_the_same_rest():
@@ -175,7 +160,7 @@ def test_rows_that_fill_a_file_up_are_named_and_are_no_rest_on_any_route():
     np.testing.assert_allclose(done.rest.mean, LEFT, atol=2e-4)
     plain = correct(padded, CALIBRATION, check=False)
     parts = (plain.part(a, min(a + 777, len(plain))) for a in range(0, len(plain), 777))
-    assert find_rest_offset_in(parts).rest_s == done.rest.rest_s
+    assert find_rest_offset(joined([*parts])).rest_s == done.rest.rest_s
     found = orient(plain, settings=OrientSettings(offset="rest"))
     assert "recording.padded" in [one.code for one in found.findings]
     assert (found.time[0], found.time[-1]) == (padded.time[500], padded.time[last - 1])

@@ -3,6 +3,7 @@
 import math
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import nullcontext, suppress
+from contextvars import copy_context
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -27,11 +28,12 @@ from undrift.errors import InputError
 from undrift.units import STANDARD_GRAVITY, si_factor
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from undrift.arrays import FloatArray
-    from undrift.correction.correct import Corrector, CorrectorState
-    from undrift.correction.rest import RemainingOffset, Stretch
+    from undrift.correction.correct import Corrector
+    from undrift.correction.plan import Carry
+    from undrift.correction.rest import RemainingOffset
     from undrift.findings import Finding
     from undrift.model import Calibration
     from undrift.record import Record, Still
@@ -47,7 +49,7 @@ class CorrectedFile:
 
     record: Path
     output: Path
-    state: "CorrectorState"
+    state: "Carry"
     notes: tuple[str, ...]
     findings: "tuple[Finding, ...]"  # ranges that the calibration does not cover, and symptoms of a wrong reading
     rest: "RemainingOffset | None"  # subtracted offset, also in the notes
@@ -196,7 +198,7 @@ def correct(
     corrector = partial(Corrector, model, applying.policy, power_on_s=applying.power_on_s)
     settings: dict[str, object] = {"policy": applying.policy, "power_on_s": applying.power_on_s, "offset": offset}
     made_by = partial(_provenance, calibration=calibration, model=model, settings=settings)
-    find_offset = None if offset == "none" else partial(_offset_left, offset=offset, stretch=named.stretch)
+    find_offset = None if offset == "none" else partial(_remaining_offset, offset=offset, named=named)
     corrected = partial(
         _correct_one, corrector=corrector, model=model, opening=opening, made_by=made_by, find_offset=find_offset
     )
@@ -279,7 +281,6 @@ def _correct_one(
     """Correct a recording into a file, chunk by chunk where the file takes chunks."""
     from undrift.calibration.triads import check_force
     from undrift.correction.consistency import check_corrected
-    from undrift.correction.correct import read_ahead
     from undrift.io.formats import detect
     from undrift.io.inspect import find_saturated
     from undrift.io.parquet import ParquetWriter, parquet_rows
@@ -329,6 +330,16 @@ def _correct_one(
     )  # fmt: skip
 
 
+def read_ahead(chunks: "Iterator[Record]") -> "Iterator[Record]":
+    """Read the next chunk in a second thread while the caller processes the current chunk."""
+    with ThreadPoolExecutor(1) as pool:
+        take = partial(next, chunks, None)
+        coming = pool.submit(copy_context().run, take)  # the reading thread sees the progress of the caller
+        while (chunk := coming.result()) is not None:
+            coming = pool.submit(copy_context().run, take)
+            yield chunk
+
+
 def _gravity(model: "Calibration") -> float:
     return model.gravity_m_s2 if math.isfinite(model.gravity_m_s2) else STANDARD_GRAVITY
 
@@ -364,26 +375,29 @@ def _rests_row(file: CorrectedFile) -> dict[str, str]:
     return cells
 
 
-def _offset_left(
+def _remaining_offset(
     record: Path,
     model: "Calibration",
     opening: Opening,
     corrector: "Corrector",
     *,
     offset: Literal["rest", "motion"],
-    stretch: "Stretch",
+    named: NamedRest,
 ) -> "RemainingOffset":
     """Return the remaining offset of a corrected recording. At a rest, only as many readings are read as needed."""
-    from undrift.correction.rest import find_offset, find_rest_offset_in
+    from undrift.correction.rest import FOUND_IN_S, find_offset
     from undrift.io.column_map import naming
     from undrift.record import joined
 
+    corrected, stop_s = list["Record"](), named.stop_s
     with naming(record):
-        parts = (calibrated_part(read, model)[0] for read in opening.chunks(record))
-        corrected = (corrector.push_checked(chunk).record for chunk in parts)
-        if offset == "rest":
-            return find_rest_offset_in(corrected, stretch, model.gyro)
-        return find_offset(joined(list(corrected)), offset, model.gyro, stretch)
+        for read in opening.chunks(record):
+            corrected.append(corrector.push_checked(calibrated_part(read, model)[0]).record)
+            searched_to = stop_s or corrected[0].time[0] + FOUND_IN_S
+            if offset == "rest" and corrected[-1].time[-1] >= searched_to:
+                break
+        head = joined(corrected)
+        return find_offset(head, offset, model.gyro, named.still_in(head))
 
 
 def _provenance(

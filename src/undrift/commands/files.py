@@ -22,12 +22,11 @@ from undrift.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
-    from undrift.correction.rest import Stretch
     from undrift.findings import Finding
     from undrift.io.column_map import ColumnMap
     from undrift.io.reference import ReferenceMap
     from undrift.model import BodyMounting, Calibration
-    from undrift.record import FileMap, GravitySource, Kind, Record, Reference, Session
+    from undrift.record import FileMap, GravitySource, Kind, Record, Reference, Session, Still
     from undrift.sim.device.model import DeviceModel
 
 
@@ -156,9 +155,25 @@ class NamedRest:
     rest_s: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
 
     @property
-    def stretch(self) -> "Stretch":
-        """Start and end, s."""
-        return (None, None) if self.rest_s is None else ends_of("`rest_s`", self.rest_s, "s")
+    def stop_s(self) -> float | None:
+        """End of the named stretch, s, or None without a name or an end."""
+        return None if self.rest_s is None else ends_of("`rest_s`", self.rest_s, "s")[1]
+
+    def still_in(self, record: "Record") -> "Still | None":
+        """Return the named stretch of a recording, or None if none was named."""
+        from undrift.record import Still
+
+        if self.rest_s is None:
+            return None
+        start_s, stop_s = ends_of("`rest_s`", self.rest_s, "s")
+        first, last = float(record.time[0]), float(record.time[-1])
+        if not first <= start_s < stop_s <= last:
+            raise InputError(
+                f"`rest_s`: expected START:STOP within the recording's {first:.6g} to {last:.6g} s, got {start_s:g} and "
+                f"{stop_s:g}. Give the start and the end of a rest."
+            )
+        start, stop = record.time.searchsorted((start_s, stop_s))
+        return Still(start=int(start), stop=max(int(stop), int(start) + 1))
 
 
 @options

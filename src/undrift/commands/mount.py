@@ -47,7 +47,6 @@ def mount(
     output : Path or None
         calibration.json with the mounting.
     """
-    from undrift.correction.rest import named_rest
     from undrift.io.store import read_calibration
     from undrift.mounting import find_mounting
 
@@ -61,7 +60,7 @@ def mount(
     for path in records:
         with named_columns(path):
             readings.append(corrected(opening.like(model, calibration).read(path), path, model, TableUse())[0])
-    still = named_rest(readings[0], named.stretch)
+    still = named.still_in(readings[0])
     span = None if still is None else (float(readings[0].time[still.start]), float(readings[0].time[still.stop - 1]))
     return _mount_summary(find_mounting(readings, worn, movement, span), records, model, output)
 

@@ -108,7 +108,6 @@ def noise(
     """
     from undrift.calibration.noise import fit_noise
     from undrift.calibration.triads import check_force
-    from undrift.correction.rest import named_rest
 
     chosen = choose_calibration(calibration, (record,), opening)
     model = chosen.model
@@ -116,7 +115,7 @@ def noise(
         readings = opening.like(model, chosen.path).read(record)
     with named_columns(record):
         readings, notes = (readings, ()) if model is None else _correct_readings(readings, model)
-        if rest := named_rest(readings, named.stretch):
+        if rest := named.still_in(readings):
             readings = readings.part(rest.start, rest.stop)
         check_force(readings)
     progress("fitting", 0.3)

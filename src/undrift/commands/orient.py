@@ -170,7 +170,6 @@ def orient(
     up : str or None
         Device axis that points up on the upright segment.
     """
-    from undrift.correction.rest import named_rest
     from undrift.findings import finding
     from undrift.io.write import ORIENTATION_WRITERS, files_of, write_orientation
     from undrift.orientation import OrientSettings
@@ -197,7 +196,7 @@ def orient(
                 *notes,
                 f"Pitch of the {worn.place} by the calibration's mounting, uncertain by {degrees:.1f} deg; {worn.basis}.",
             )
-        rest = named_rest(readings, named.stretch)
+        rest = named.still_in(readings)
         orientation = find(readings, rest, settings, gyro_model=None if model is None else model.gyro)
     orientation = replace(
         orientation, findings=tuple({item.text: item for item in (*earlier, *orientation.findings)}.values())

@@ -23,10 +23,7 @@ search for turns use other samples. Both are causal, and pass their state to the
 """
 
 import warnings
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextvars import copy_context
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal, TypeAlias
 
@@ -37,15 +34,19 @@ from undrift.correction import coverage
 from undrift.correction.consistency import check_corrected
 from undrift.correction.plan import (
     NOTHING,
+    NOWHERE,
     Carry,
     Conditions,
     Plans,
+    Reach,
+    Span,
     TriadPlan,
     carry_at_start,
     conditions_of,
     flat,
     force_uncertainty,
     has_tables,
+    hull,
     in_pieces,
     plan_record,
 )
@@ -61,9 +62,7 @@ Policy = Literal["raise", "hold", "nan"]
 Offset: TypeAlias = Literal["none", "rest", "motion"] | RemainingOffset
 
 
-def _evaluate_triad(
-    plan: TriadPlan, u: FloatArray, conditions: Conditions, a: FloatArray, w: FloatArray
-) -> coverage.Span:
+def _evaluate_triad(plan: TriadPlan, u: FloatArray, conditions: Conditions, a: FloatArray, w: FloatArray) -> Span:
     """Evaluate the model for a triad and write readings u to w. The force a is empty without step 4."""
     from undrift.kernels.correct import affine, subtract_g, tabulated, without_line
 
@@ -78,10 +77,10 @@ def _evaluate_triad(
     affine(u, w, plan.matrix, offset, h)  # steps 1 to 3: w = M (u + h sign(u) - offset)
     if a.size:
         subtract_g(a, w, g)  # step 4: w - G a
-    return coverage.NOWHERE
+    return NOWHERE
 
 
-def _evaluate(record: Record, plans: Plans, conditions: Conditions, outputs: Buffers, rows: slice) -> coverage.Span:
+def _evaluate(record: Record, plans: Plans, conditions: Conditions, outputs: Buffers, rows: slice) -> Span:
     """Evaluate the model for some samples and return the least and greatest rate that met the dynamic table."""
     from undrift.kernels.correct import affine_pair
 
@@ -94,12 +93,10 @@ def _evaluate(record: Record, plans: Plans, conditions: Conditions, outputs: Buf
     if gyro is not None and accel is not None and g is not None and plain:
         accel_constants = (accel.matrix, accel.constants.offset, accel.half_step)
         affine_pair(u, v, w, a, gyro.matrix, gyro.constants.offset, gyro.half_step, *accel_constants, g)
-        return coverage.NOWHERE  # both triads in one pass over the memory
+        return NOWHERE  # both triads in one pass over the memory
     if accel is not None:  # first, since step 4 needs a
         _evaluate_triad(accel, v, row_conditions, NOTHING, a)
-    return (
-        coverage.NOWHERE if gyro is None else _evaluate_triad(gyro, u, row_conditions, NOTHING if g is None else a, w)
-    )
+    return NOWHERE if gyro is None else _evaluate_triad(gyro, u, row_conditions, NOTHING if g is None else a, w)
 
 
 class DriftRangeWarning(UserWarning):
@@ -130,7 +127,7 @@ class Corrected:
     extrapolated: BoolArray
     missing: BoolArray
     findings: tuple[Finding, ...]
-    reach: coverage.Reach
+    reach: Reach
     carry: Carry
     rest: RemainingOffset | None = None
 
@@ -310,8 +307,8 @@ def correct_planned(
     amounts: dict[str, Any] = {f"samples_{name}": int(mask.sum()) for name, mask in masks.items() if mask is not None}
     amounts |= {f"seconds_{name}": coverage.seconds_of(mask, time, before) for name, mask in masks.items()}
     span_c, departure_c = coverage.temperature_reach(temp_c, calibration, plans)
-    rates = min(low for low, _ in spans), max(high for _, high in spans)
-    reach = coverage.Reach(samples=len(record), temp_c=span_c, departure_c=departure_c, turn_rate=rates, **amounts)
+    reach = Reach(samples=len(record), temp_c=span_c, departure_c=departure_c, turn_rate=hull(*spans), **amounts)
+    coming = replace(coming, reach=carry.reach.joined(reach))
     unmarked = np.broadcast_to(np.False_, len(record))  # fresh memory costs as much as a tenth of the kernel
     return Corrected(
         record=record.computed(
@@ -362,14 +359,6 @@ def _field(record: Record, calibration: Calibration, rate: FloatArray) -> FloatA
 # ---- A stream
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CorrectorState:
-    """State of a stream, which is enough to continue it in another Corrector."""
-
-    reach: coverage.Reach = field(default_factory=coverage.Reach)  # range of the chunks so far
-    carry: Carry = field(default_factory=Carry)  # time of power-on, state of the lag
-
-
 class Corrector:
     """Correct a stream chunk by chunk, with bit-identical results to ``correct``.
 
@@ -378,7 +367,7 @@ class Corrector:
     calibration, policy, power_on_s
         As for ``correct_checked``.
     offset : RemainingOffset, optional
-        Offset that is subtracted from every chunk. ``find_rest_offset_in`` finds it in the first corrected chunks.
+        Offset that is subtracted from every chunk. ``find_rest_offset`` finds it in the first corrected chunks, joined.
 
     Examples
     --------
@@ -407,7 +396,7 @@ class Corrector:
         self._calibration, self._policy = calibration, policy
         self._power_on_s, self._offset = power_on_s, offset
         self._plans: dict[tuple[str, str, bool, bool, bool], Plans] = {}
-        self.state = CorrectorState()  # may be saved, and put back by assignment
+        self.state = Carry()  # may be saved, and put back by assignment
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -426,7 +415,7 @@ class Corrector:
 
     def push_checked(self, chunk: Record) -> Corrected:
         """Correct the next chunk, as ``push``, and return it with masks and findings of this chunk."""
-        last_time = self.state.carry.last_time
+        last_time = self.state.last_time
         if last_time is not None and chunk.time[0] <= last_time:
             raise InputError(
                 f"corrector: expected a chunk that begins after {last_time:.6g} s, got one from {chunk.time[0]:.6g} s. "
@@ -435,20 +424,8 @@ class Corrector:
         key = (chunk.gyro_unit, chunk.accel_unit, chunk.gyro is None, chunk.accel is None, chunk.temp_c is None)
         if key not in self._plans or chunk.state == "corrected":
             self._plans[key] = plan_record(chunk, self._calibration)
-        carry = self.state.carry
-        if not self.state.reach.samples:
-            carry = carry_at_start(float(chunk.time[0]), self._power_on_s)
+        carry = self.state if last_time is not None else carry_at_start(float(chunk.time[0]), self._power_on_s)
         corrected = correct_planned(chunk, self._calibration, self._plans[key], policy=self._policy, carry=carry)
         corrected = corrected if self._offset is None else _subtract_offset(corrected, self._offset)
-        self.state = CorrectorState(reach=self.state.reach.joined(corrected.reach), carry=corrected.carry)
+        self.state = corrected.carry
         return corrected
-
-
-def read_ahead(chunks: Iterator[Record]) -> Iterator[Record]:
-    """Read the next chunk in a second thread while the caller processes the current chunk."""
-    with ThreadPoolExecutor(1) as pool:
-        take = partial(next, chunks, None)
-        coming = pool.submit(copy_context().run, take)  # the reading thread sees the progress of the caller
-        while (chunk := coming.result()) is not None:
-            coming = pool.submit(copy_context().run, take)
-            yield chunk

@@ -11,52 +11,18 @@
 Temperatures are sensor temperatures, without the thermometer's lag (correction/plan.py).
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
-from undrift.correction.plan import Carry, LookupTable, Plans, has_tables
+from undrift.correction.plan import NOWHERE, Carry, LookupTable, Plans, Reach, Span, has_tables
 from undrift.errors import DriftRangeError
 from undrift.findings import Finding, finding, told_apart
 from undrift.model import BEYOND_SEEN_C, Calibration, DriftTables, seen_span
 from undrift.record import Record
 from undrift.units import si_factor
 
-Span = tuple[float, float]  # least and greatest
-NOWHERE: Span = (np.inf, -np.inf)
 REFERENCE_SPAN_C = 5.0  # distance from the reference temperature within which constant offsets are assumed to apply
 ON_NODE = 1e-9  # in cells: a value so near to a node uses that node only
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Reach:
-    """Range of the readings that the calibration depends on, in a record, or in all chunks of a stream so far."""
-
-    samples: int = 0
-    samples_outside: int = 0  # beyond the tuning tables
-    samples_extrapolated: int = 0  # inside them at nodes that no data were near
-    samples_without_temperature: int = 0  # needed by the tables (the result is a gap under every policy)
-    seconds_outside: float = 0.0
-    seconds_extrapolated: float = 0.0
-    seconds_without_temperature: float = 0.0
-    temp_c: Span = NOWHERE  # degC, or (inf, -inf) if nothing depends on it
-    departure_c: float = 0.0  # distance to the temperature of the constant offsets, degC, or 0 if no offset is constant
-    turn_rate: Span = NOWHERE  # measured rate in the dynamic table, rad/s, or (inf, -inf) without the table
-
-    def joined(self, later: "Reach") -> "Reach":
-        """Return the reach of both."""
-        counts = [name for name in Reach.__slots__ if name.startswith(("samples", "seconds"))]
-        return Reach(
-            **{name: getattr(self, name) + getattr(later, name) for name in counts},
-            temp_c=_both(self.temp_c, later.temp_c),
-            departure_c=max(self.departure_c, later.departure_c),
-            turn_rate=_both(self.turn_rate, later.turn_rate),
-        )
-
-
-def _both(first: Span, second: Span) -> Span:
-    return min(first[0], second[0]), max(first[1], second[1])
 
 
 def seconds_of(mask: BoolArray | None, time: FloatArray, before: float | None) -> float:

@@ -22,7 +22,7 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.correction.rest import LEAST_IN_MOTION_S, MOVED, RemainingOffset, moved_by
 from undrift.errors import InputError
-from undrift.fit.carried import MEAN_S, CarriedMeans
+from undrift.fit.carried import CarriedMeans
 from undrift.fit.priors import GYRO_CROSS_AXIS, SCALE_FACTOR
 from undrift.model import TriadModel
 from undrift.record import Record
@@ -74,9 +74,7 @@ def fit_motion(record: Record, rest: RemainingOffset | None, model: TriadModel |
     covariance, count = np.linalg.inv(information), 3 * len(stretches)
     covariance *= _UNRESTED**2 if rest is None else 1.0
     if (matrix_sigma := matrix_deviation(record, model)) is not None:  # E turns gravity as an offset does
-        answers = _offset_gains(
-            record, theta[:count].reshape(-1, 3).mean(axis=0), usual, prior, np.asarray(record.gyro)
-        )
+        answers = offset_gains(record, theta[:count].reshape(-1, 3).mean(axis=0), usual, prior, np.asarray(record.gyro))
         covariance += (answers * matrix_sigma.ravel() ** 2) @ answers.T
     first = np.r_[:3, count : count + 3]
     vertical, vertical_covariance = stretches[0].vertical(covariance[np.ix_(first, first)])
@@ -92,21 +90,7 @@ def fit_motion(record: Record, rest: RemainingOffset | None, model: TriadModel |
     return MotionFit(offset=offset, vertical=vertical, vertical_covariance=vertical_covariance)
 
 
-def offset_answer(record: Record, prior: FloatArray, rate_errors: FloatArray) -> FloatArray:
-    """Return the error of the mean offset from motion for unit errors of the rates, (3, 3, C).
-
-    The rate errors are x_c e_b rad/s, x (N, C), in a record corrected by that offset, with its prior (3,). A scale factor error
-    turns gravity as an offset does. The estimated offset compensates a part of it, so less remains in the orientation.
-    """
-    zero, unit = np.zeros(3), rate_errors.shape[1]
-    if record.duration_s < 2.0 * MEAN_S:  # two means determine nothing in addition to the prior
-        return np.zeros((3, 3, unit))
-    answers = _offset_gains(record, zero, zero, np.diag(prior**2), rate_errors)[:-3]
-    mean: FloatArray = answers.reshape(-1, 3, 3, unit).mean(axis=0)
-    return mean
-
-
-def _offset_gains(
+def offset_gains(
     record: Record, initial: FloatArray, usual: FloatArray, prior: FloatArray, rate_errors: FloatArray
 ) -> FloatArray:
     """Return the change of the offsets of each stretch and of d, (3 S + 3, 3 C), per unit of an error x_c e_b of the rates."""

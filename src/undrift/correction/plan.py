@@ -38,7 +38,9 @@ if TYPE_CHECKING:
     from undrift.kernels.correct import Grid, Tables
 
 NOTHING = np.empty(0)
-EVERYWHERE = (-np.inf, np.inf)
+Span: TypeAlias = tuple[float, float]  # least and greatest
+EVERYWHERE: Span = (-np.inf, np.inf)
+NOWHERE: Span = (np.inf, -np.inf)
 EVEN_WITHIN = 1e-9  # in steps
 THREADS_FROM = 100_000  # samples from which a second thread is worthwhile
 
@@ -255,7 +257,7 @@ class TriadPlan:
     half_step: FloatArray  # (3,), zero unless codes are corrected
     g_sensitivity: FloatArray | None  # (9,)
     tables: "Tables | None" = None  # cell coefficients, or None if the triad has no table
-    temp_range: tuple[float, float] = EVERYWHERE  # temperatures that all its tables cover, degC
+    temp_range: Span = EVERYWHERE  # temperatures that all its tables cover, degC
     warm_up: "tuple[Grid, FloatArray] | None" = None
 
 
@@ -328,15 +330,45 @@ def plane_cells(table: LookupTable) -> "tuple[Grid, Grid, FloatArray]":
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Reach:
+    """Range of the readings that the calibration depends on, in a record, or in all chunks of a stream so far."""
+
+    samples: int = 0
+    samples_outside: int = 0  # beyond the tuning tables
+    samples_extrapolated: int = 0  # inside them at nodes that no data were near
+    samples_without_temperature: int = 0  # needed by the tables (the result is a gap under every policy)
+    seconds_outside: float = 0.0
+    seconds_extrapolated: float = 0.0
+    seconds_without_temperature: float = 0.0
+    temp_c: Span = NOWHERE  # degC, or (inf, -inf) if nothing depends on it
+    departure_c: float = 0.0  # distance to the temperature of the constant offsets, degC, or 0 if no offset is constant
+    turn_rate: Span = NOWHERE  # measured rate in the dynamic table, rad/s, or (inf, -inf) without the table
+
+    def joined(self, later: "Reach") -> "Reach":
+        """Return the reach of both."""
+        counts = [name for name in Reach.__slots__ if name.startswith(("samples", "seconds"))]
+        return Reach(
+            **{name: getattr(self, name) + getattr(later, name) for name in counts},
+            temp_c=hull(self.temp_c, later.temp_c),
+            departure_c=max(self.departure_c, later.departure_c),
+            turn_rate=hull(self.turn_rate, later.turn_rate),
+        )
+
+
+def hull(*spans: Span) -> Span:
+    """Return the span that contains all spans."""
+    return min(span[0] for span in spans), max(span[1] for span in spans)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Carry:
     """State passed from a chunk of a stream to the next chunk."""
 
     power_on_time: float | None = None  # on the recording's clock, s, or None if unknown
     lag: LagState | None = None  # state of the thermometer's lag, or None before the first sample, or without lag
     last_time: float | None = None  # time of the last sample, s, or None before the first
-    turning: tuple[float, ...] = (
-        NOT_TURNING  # state of the search for turns, unused if the offset is the same in motion
-    )
+    turning: tuple[float, ...] = NOT_TURNING  # state of the search for turns
+    reach: Reach = Reach()  # of all chunks so far
 
 
 class Conditions(NamedTuple):

@@ -12,7 +12,6 @@ corrected readings, or a given stretch. This applies here, in orientation.py, in
 """
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Annotated, Any, Literal
@@ -23,14 +22,10 @@ from undrift.arrays import FloatArray, Shape, freeze
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
 from undrift.model import MOVING_NAMES, TriadModel, Vector
-from undrift.record import Record, Still, joined
+from undrift.record import Record, Still
 from undrift.segments import find_still, unpadded
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 
-Stretch = tuple[
-    float | None, float | None
-]  # given start and end, s, on the recording's clock, or both None for a search
-NAMED_NONE: Stretch = (None, None)
 FOUND_IN_S = 1800.0  # limit of the search, so that a stream in chunks finds the same rest as the whole recording
 LEAST_IN_MOTION_S = 20.0  # shortest recording whose motion determines the vertical and the remaining offset
 FEWEST = 10  # samples needed to estimate their scatter
@@ -155,46 +150,31 @@ def rest_offset(
     )
 
 
-def named_rest(record: Record, stretch: Stretch) -> Still | None:
-    """Return the given stretch at rest, or None if none was given."""
-    start_s, stop_s = stretch
-    if start_s is None and stop_s is None:
-        return None
-    first, last = float(record.time[0]), float(record.time[-1])
-    if start_s is None or stop_s is None or not first <= start_s < stop_s <= last:
-        got = " and ".join("none" if value is None else f"{value:g}" for value in (start_s, stop_s))
-        raise InputError(
-            f"`rest_s`: expected START:STOP within the recording's {first:.6g} to {last:.6g} s, got {got}. Give the start and the "
-            "end of a rest."
-        )
-    start, stop = record.time.searchsorted((start_s, stop_s))
-    return Still(start=int(start), stop=max(int(stop), int(start) + 1))
-
-
-def find_rest_offset(record: Record, stretch: Stretch = NAMED_NONE, model: TriadModel | None = None) -> RemainingOffset:
-    """Return the mean rate of a corrected record at its first rest, or in a given stretch."""
+def find_rest_offset(record: Record, model: TriadModel | None = None) -> RemainingOffset:
+    """Return the mean rate of a corrected record at its first rest, which the first half hour of the record contains."""
     if record.gyro is None:
         raise InputError("rest: gyroscope readings and their calibration are needed. Omit `offset` rest.")
-    if (still := named_rest(record, stretch)) is not None:
-        return rest_offset(record, still, model)
     stills = _first_rests(record, "correct")
     return rest_offset(record, stills[0], model, stills)
 
 
 def find_offset(
-    record: Record, offset: Literal["rest", "motion"], model: TriadModel | None, stretch: Stretch = NAMED_NONE
+    record: Record, offset: Literal["rest", "motion"], model: TriadModel | None, still: Still | None = None
 ) -> RemainingOffset:
-    """Return the offset that remains in a corrected record, at its rest, or from its motion and from the rest if there is one."""
-    if offset == "rest":
-        return find_rest_offset(record, stretch, model)
-    from undrift.correction.motion import fit_motion  # imports scipy and a kernel
+    """Return the offset that remains in a corrected record: at a rest, or from its motion and from a rest if there is one.
 
+    The rest is ``still``, or by default the first still phase.
+    """
     try:
-        rest = find_rest_offset(record, stretch, model)
+        rest = find_rest_offset(record, model) if still is None else rest_offset(record, still, model)
     except InputError as error:
-        if error.numbers.get("missing") != "rest":
+        if offset == "rest" or error.numbers.get("missing") != "rest":
             raise
         rest = None
+    if offset == "rest" and rest is not None:
+        return rest
+    from undrift.correction.motion import fit_motion  # imports scipy and a kernel
+
     return fit_motion(record, rest, model).offset
 
 
@@ -203,23 +183,6 @@ def rests_from_first(record: Record, what: str) -> tuple[Still, ...]:
     stills = _first_rests(record, what)
     later_stills = stills if len(_head(record)) == len(record) else find_still(record).stills
     return stills[0], *(still for still in later_stills if still.start >= stills[0].stop)
-
-
-def find_rest_offset_in(
-    chunks: Iterator[Record], stretch: Stretch = NAMED_NONE, model: TriadModel | None = None
-) -> RemainingOffset:
-    """Return the offset at the first or a given rest from corrected chunks, reading no more of them than needed."""
-    start_s, stop_s = stretch
-    has_bounds = start_s is not None and stop_s is not None and start_s < stop_s
-    head: list[Record] = []
-    for chunk in chunks:
-        head.append(chunk)
-        search_end = head[0].time[0] + FOUND_IN_S if stretch == NAMED_NONE else stop_s if has_bounds else np.inf
-        if chunk.time[-1] >= search_end:
-            break
-    if not head:
-        raise InputError("rest: the recording has no samples. Check the file.")
-    return find_rest_offset(joined(head), stretch, model)
 
 
 def _first_rests(record: Record, what: str) -> tuple[Still, ...]:

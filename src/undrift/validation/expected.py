@@ -118,9 +118,25 @@ def expected_errors(run: Strapdown, model: TriadModel, source: OffsetSource, pri
     )
 
 
+def offset_answer(record: Record, prior: FloatArray, rate_errors: FloatArray) -> FloatArray:
+    """Return the error of the mean offset from motion for unit errors of the rates, (3, 3, C).
+
+    The rate errors are x_c e_b rad/s, x (N, C), in a record corrected by that offset, with its prior (3,). A scale factor error
+    turns gravity as an offset does. The estimated offset compensates a part of it, so less remains in the orientation.
+    """
+    from undrift.correction.motion import offset_gains  # imported here, because it requires scipy and kernels
+    from undrift.fit.carried import MEAN_S
+
+    zero, unit = np.zeros(3), rate_errors.shape[1]
+    if record.duration_s < 2.0 * MEAN_S:  # two means determine nothing in addition to the prior
+        return np.zeros((3, 3, unit))
+    answers = offset_gains(record, zero, zero, np.diag(prior**2), rate_errors)[:-3]
+    mean: FloatArray = answers.reshape(-1, 3, 3, unit).mean(axis=0)
+    return mean
+
+
 def _sensitivity(run: Strapdown, model: TriadModel, source: OffsetSource) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return times (K,), A (K, 3, P) without noise and pose, and the rate in earth axes (K, 3), through the motion."""
-    from undrift.correction.motion import offset_answer  # imported here, because it requires scipy and kernels
     from undrift.kernels.rotation import accumulate
 
     gyro, time, q = np.ascontiguousarray(run.record.gyro), np.ascontiguousarray(run.record.time), run.q_nb
