@@ -340,7 +340,8 @@ def orient(
         still = replace(still, start=max(still.start - first, 0), stop=min(max(still.stop - first, 1), len(record)))
     rests = _rests(record, still, settings.offset)
     still = rests[0] if rests else None
-    offsets, anchor = np.zeros((len(record), 3)), 0 if still is None else still.stop - 1
+    anchor = 0 if still is None else still.stop - 1
+    offsets: FloatArray = np.zeros((len(record), 3))
     if settings.offset == "motion" or still is None:
         from undrift.correction.motion import fit_motion  # imports scipy and a kernel
 
