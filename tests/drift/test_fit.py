@@ -1,8 +1,6 @@
 """From thermal sessions to tuning tables: every way a session may come, what is said of it, what is refused.
 
 Both tables of turns predict soaks that were left out.
-
-Tables of a narrower range are those of the wide one there.
 """
 
 import re
@@ -23,14 +21,13 @@ from undrift.drift.fit import (
     fit_drift,
     table_nodes,
 )
-from undrift.drift.observe import RestBlocks
 from undrift.drift.offset import StaticSettings
 from undrift.drift.rates import fit_dynamic, fit_scale, measured_rate, prepared
 from undrift.drift.verdict import without_tables
 from undrift.errors import InputError, NotObservable
 from undrift.export.constants import pair_at
 from undrift.report.page import write_page
-from undrift.sim.device.effects import RateDrift, ThermalScale
+from undrift.sim.device.effects import RateDrift
 from undrift.sim.device.presets import preset, random_device_of
 from undrift.sim.device.truth import true_calibration, true_tables
 from undrift.sim.motion.bench import BenchSettings
@@ -257,14 +254,12 @@ def test_the_page_opens_with_before_and_after_over_a_stated_motion_and_the_answe
     assert "--offset rest" in lead
 
 
-def test_the_nodes_are_those_asked_for_or_what_was_seen(session):
-    asked = fit_drift([session], CALIBRATION, settings=DriftSettings(range_c=(20.0, 70.0), step_c=5.0, tables="none"))
-    np.testing.assert_array_equal(asked.calibration.drift.static.temp_c, np.arange(20.0, 71.0, 5.0))
-    seen = fit_drift([warmed(80)], CALIBRATION).calibration.drift.static.temp_c
-    assert seen[0] > 11.0
-    assert seen[-1] < 35.0
-    with pytest.raises(InputError, match="the step must divide the range"):
-        fit_drift([session], CALIBRATION, settings=DriftSettings(range_c=(20.0, 70.0), step_c=3.0))
+def test_the_nodes_span_what_was_seen(session):
+    seen = fit_drift([warmed(80)], CALIBRATION, settings=DriftSettings(step_c=1.0)).calibration.drift.static.temp_c
+    assert 11.0 <= seen[0] < seen[-1] < 35.0
+    np.testing.assert_allclose(np.diff(seen), 1.0)
+    with pytest.raises(InputError, match="the step between nodes"):
+        fit_drift([session], CALIBRATION, settings=DriftSettings(step_c=0.0))
 
 
 def test_progress_is_reported_in_order(session):
@@ -306,15 +301,6 @@ def test_what_does_not_belong_together_is_refused(session):
         fit_drift([replace(session, serial="other")], CALIBRATION)
     with pytest.raises(InputError, match="0 s or more, got -1"):
         fit_drift([session], CALIBRATION, settings=DriftSettings(lag_s=-1.0))
-
-
-def test_a_narrower_range_has_the_same_offsets(session, fit):
-    asked = fit_drift([session], CALIBRATION, settings=DriftSettings(range_c=(41.0, 53.5)))
-    cut, whole = asked.calibration.drift.static, fit.calibration.drift.static
-    assert (cut.temp_c[0], cut.temp_c[-1]) == (41.0, 53.5)
-    wanted = [np.interp(cut.temp_c, whole.temp_c, column) for column in whole.gyro_offset.T]
-    np.testing.assert_allclose(cut.gyro_offset, np.array(wanted).T, rtol=1e-9, atol=1e-12)
-    assert not any(item.code == "drift.narrow_span" for item in asked.verdict.findings)
 
 
 def test_a_session_given_twice_is_refused(session):
@@ -407,9 +393,15 @@ def test_rates_of_one_sign_and_a_missing_axis_still_give_tables():
     assert any("Dynamic drift y" in item.text for item in dynamic.verdict.findings)
 
 
-def test_a_missing_table_has_its_reason():
-    with pytest.raises(NotObservable, match="dynamic drift: no axis"):
-        one_way(0, TEMPS, dynamic=True)
+def test_a_single_rate_in_a_soak_is_left_out_and_counted():
+    made = device(0, rate_drift=None)
+    steps = computed(made, TEMPS, np.random.default_rng(1), rates=np.radians([50.0]), noise_dps=0.004)
+    forward = steps.rate_b.sum(axis=1) > 0.0
+    with pytest.raises(NotObservable, match="two rates"):
+        fitted(made, steps=steps.taken(forward))
+    clean, *_ = fitted(made, steps=steps.taken(forward | (steps.soak > 0)))
+    assert np.unique(clean.soak).tolist() == [1, 2, 3, 4, 5, 6]
+    assert f"3 of {len(steps) - 3} rate steps" in clean.findings[0].text
 
 
 def test_poses_that_leave_parameters_of_the_accelerometers_open_are_named(fit):
@@ -431,48 +423,9 @@ def test_the_dynamic_table_spans_what_the_matrix_table_spans():
     assert scale.drift.gyro_extrapolated[[0, -1]].all()
 
 
-def one_way(seed, temps, *, scatter_dps=0.0, dynamic=False):
-    """One rate one way round about each axis at each soak, a rest before each, and a scale 0.5 % and 8 ppm/degC off."""
-    rng = np.random.default_rng(seed)
-    made = device(seed, thermal_scale=ThermalScale(per_k=np.full((1, 3), 8e-6)), rate_drift=None, g_sensitivity=None)
-    truth = true_calibration(made)
-    kept = replace(truth, gyro=replace(truth.gyro, matrix=truth.gyro.matrix * 1.005))  # reads 0.5 % too much
-    steps = computed(made, temps, rng, rates=np.radians([50.0]), noise_dps=0.004)
-    steps = steps.taken(steps.rate_b.sum(axis=1) > 0.0)
-    resting = computed(made, temps, rng, rates=np.radians([1e-9]), noise_dps=0.004)
-    resting = resting.taken(resting.rate_b.sum(axis=1) > 0.0)
-    visit = (
-        scatter_dps * np.radians(rng.normal(size=(len(temps), 3))) * made.gyro.gain
-    )  # turns and rests of a soak share it
-    steps, resting = (replace(rows, gyro=rows.gyro + visit[rows.soak]) for rows in (steps, resting))
-    n = len(resting)
-    rests = RestBlocks(
-        session=resting.session, pose=np.arange(n) % 3, time=resting.time, power_on_s=resting.time,
-        ramp_c_per_min=np.zeros(n), temp_c=resting.temp_c, gyro=resting.gyro, accel=resting.accel,
-        gyro_variance=resting.gyro_variance, accel_variance=np.full((n, 3), 1e-4),
-    )  # fmt: skip
-    table = true_tables(made, NODES, np.radians([-90.0, 90.0]))
-    clean = prepared(steps, kept, static=table.static, rests=rests)
-    if dynamic:
-        return fit_dynamic(clean, kept, span_c=(18.0, 75.0))
-    return fit_scale(clean, kept, temp_c=NODES).drift, table.scale.gyro_matrix
-
-
-def test_one_rate_one_way_round_recovers_the_scale_by_the_rest_of_its_soak():
-    inside = []
-    for seed in range(6):
-        drift, true = one_way(seed, TEMPS, scatter_dps=0.02)
-        error = np.diagonal(drift.gyro_matrix - true, axis1=1, axis2=2)
-        inside.append((np.abs(error) <= 1.96 * np.diagonal(drift.gyro_uncertainty, axis1=1, axis2=2)).mean())
-        assert (
-            np.abs(error / np.diagonal(true, axis1=1, axis2=2)).max() < 6e-4
-        )  # 0.004 of 50 deg/s twice, and extrapolated
-    assert np.mean(inside) >= 0.85  # eighteen curves; 0.95 but for three of them
-
-
 def test_the_nodes_reach_the_ends_of_the_notes_range_if_these_are_near():
-    np.testing.assert_allclose(table_nodes(np.array([18.9, 73.1]), DriftSettings()), np.arange(18.0, 75.1, 0.5))
-    np.testing.assert_allclose(table_nodes(np.array([38.9, 51.0]), DriftSettings())[[0, -1]], [38.5, 51.0])
+    np.testing.assert_allclose(table_nodes(np.array([18.9, 73.1]), 0.5), np.arange(18.0, 75.1, 0.5))
+    np.testing.assert_allclose(table_nodes(np.array([38.9, 51.0]), 0.5)[[0, -1]], [38.5, 51.0])
 
 
 def test_accelerometers_alone_get_their_tables():

@@ -55,15 +55,6 @@ def test_an_offset_that_the_table_does_not_know_leaves_the_matrix_alone():
     assert np.allclose(plain.drift.gyro_matrix, shifted.drift.gyro_matrix, rtol=1e-9, atol=1e-12)
 
 
-def test_one_rate_for_each_axis_leans_on_the_offset_table():
-    made = device(g_sensitivity=None)
-    steps = computed(made, SOAKS, np.random.default_rng(1), rates=FEW[-1:], noise_dps=1e-6)
-    forward = steps.taken(steps.rate_b.sum(axis=1) > 0.0)
-    fit, truth = fitted(made, steps=forward)
-    scale = truth.scale.gyro_matrix[:, 0, 0]
-    assert np.abs(fit.drift.gyro_matrix - truth.scale.gyro_matrix).max() < 1e-5 * scale.max()
-
-
 def test_an_axis_that_was_never_turned_keeps_its_column_without_uncertainty():
     made = device()
     fit, truth = fitted(made, axes=(0, 2))

@@ -91,7 +91,7 @@ def test_the_compensated_rate_error_is_near_that_of_the_true_tables(seed: int) -
     bench = BenchSettings(turn_rates=tuple(GRID[::4]), dwell_s=1.5)
     constant = calibrate(simulate_session("bench", device, rng=rng, settings=bench))
     static = static_of(rests)
-    clean = prepared(steps, constant, static=static, rests=rests)
+    clean = prepared(steps, constant, static=static)
     scale = fit_scale(clean, constant, temp_c=NODES).drift
     dynamic = fit_dynamic(clean, constant, span_c=(18.0, 75.0), scale=scale).drift
     tables = DriftTables(static=static, scale=scale, dynamic=dynamic)

@@ -4,20 +4,16 @@ The summary begins with the largest error of a standard motion, without and with
 (``validation/table_worth``).
 """
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING, Literal
 
 from undrift.base.options import Files, Flag, OptionalOutput, verb
 from undrift.base.summary import NOTHING_WRITTEN, Section, Summary, figure_of, plus_minus, rows_section
 from undrift.commands import Progress, part_of, reading, silent
 from undrift.commands.calibration_file import choose_calibration
-from undrift.commands.files import Opening, check_output, ends_of, recording_of, thermal_session
-from undrift.errors import InputError
+from undrift.commands.files import Opening, check_output, recording_of, thermal_session
 from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, STANDARD_GRAVITY
 
 if TYPE_CHECKING:
@@ -36,7 +32,6 @@ def drift(
     *sessions: Files,
     calibration: Path | None = None,
     output: OptionalOutput = None,
-    span: Annotated[str | None, Parameter(name="--range-c", allow_leading_hyphen=True)] = None,
     step_c: float = 0.5,
     spline: Literal["smooth", "not-a-knot"] = "smooth",
     tables: Literal["none", "scale", "dynamic", "scale+dynamic"] = "scale+dynamic",
@@ -58,11 +53,8 @@ def drift(
         physical units keep their nominal scale, and counts are refused.
     output : Path or None
         calibration.json to write, with the tables. It may be the input file.
-    span : str or None
-        First and last node, LOW:HIGH in degC. The default is the recorded range, extended to 18 or 75 degC if these are
-        at most 3 degC away.
     step_c : float
-        Step between nodes, degC.
+        Step between nodes, degC. They span the recorded range, and reach 18 and 75 degC if these are at most 3 degC away.
     spline : str
         smooth (stiffness by restricted likelihood), or not-a-knot (through the set-points, as the note does).
     tables : str
@@ -76,10 +68,7 @@ def drift(
     from undrift.drift.offset import StaticSettings
     from undrift.io.store import calibration_json, write_calibration
 
-    if not 0.0 < step_c < math.inf:
-        raise InputError(f"step-c: expected more than 0 degC, got {step_c:g}. The application note uses 0.5.")
     settings = DriftSettings(
-        range_c=None if span is None else ends_of("`range_c`", span),
         step_c=step_c,
         lag_s=lag_s,
         tables="scale + dynamic" if tables == "scale+dynamic" else tables,

@@ -8,8 +8,6 @@
 
 If the calibration knows that codes are truncated, half a step is added first, as in ``correct``. A finding of the verdict names
 each part that is not observable, and the recording that would determine it.
-
-Offsets are fitted to all rests, the other tables to the steps within the range of the table.
 """
 
 from collections.abc import Callable, Sequence
@@ -63,11 +61,8 @@ class DriftSettings:
 
     Parameters
     ----------
-    range_c : tuple of float, optional
-        First and last node, degC. It may be wider than the data. The default is the range of the data, extended to 18 or 75 degC if
-        the end is within 3 degC of these.
     step_c : float
-        Distance between nodes, K.
+        Distance between nodes, K. They span the data, and reach 18 and 75 degC if an end is within 3 degC of these.
     lag_s : float, optional
         Lag of the thermometer, s. None estimates it from ramps, 0 does not subtract any lag.
     tables : str
@@ -76,7 +71,6 @@ class DriftSettings:
         Settings of the offset over temperature.
     """
 
-    range_c: tuple[float, float] | None = None
     step_c: float = STEP_C
     lag_s: float | None = None
     tables: Tables = "scale + dynamic"
@@ -197,8 +191,7 @@ def fit_drift(
         for s, session_temperatures in zip(sessions, trusted, strict=True)
     )
     seen_c = np.concatenate((rests.temp_c, steps.temp_c))
-    nodes = table_nodes(np.array([seen_c.min() - margin_c, seen_c.max() + margin_c]), settings)
-    steps = steps.taken((steps.temp_c >= nodes[0]) & (steps.temp_c <= nodes[-1]))
+    nodes = table_nodes(np.array([seen_c.min() - margin_c, seen_c.max() + margin_c]), settings.step_c)
     accel, accel_verdict = _accelerometers(rests, device, nodes)
     static_settings = replace(
         settings.static, accel=accel is None, accel_unit=accel_unit, lag_uncertainty_s=_lag_uncertainty(lag, lag_s)
@@ -208,7 +201,7 @@ def fit_drift(
     verdict = verdict.also(judge.offsets_verdict(static, device, felt_by_gyro(rests, device).mean(axis=0)))
     verdict = verdict.also(judge.gravity_verdict(rests, device))
     report("fitting scale and dynamic drift", 0.5)
-    scale, dynamic, rates_verdict = _fit_rates(steps, device, static, rests, settings.tables)
+    scale, dynamic, rates_verdict = _fit_rates(steps, device, static, settings.tables)
     verdict = verdict.also(judge.turns_verdict(scale, device)).also(rates_verdict)
     verdict = verdict.also(accel_verdict).also(judge.static_verdict(static, device, temperatures))
     if lag is not None:
@@ -287,26 +280,18 @@ def _noise_in_use(session: Session, trusted: Sequence[Temperature], lag_s: float
     return max(deviations, default=0.0) * OUTLYING * (lag_s / smooth_s if lag_s > 0.0 else 1.0)
 
 
-def table_nodes(seen_c: FloatArray, settings: DriftSettings) -> FloatArray:
+def table_nodes(seen_c: FloatArray, step_c: float) -> FloatArray:
     """Return the nodes of the tables, degC, from all recorded temperatures (k,)."""
-    step, (low, high) = settings.step_c, RANGE_C
-    if settings.range_c is not None:
-        low, high = settings.range_c
-    elif step > 0.0:
-        least, greatest = step * np.floor(np.nanmin(seen_c) / step), step * np.ceil(np.nanmax(seen_c) / step)
-        low = low if 0.0 < least - low <= BEYOND_SEEN_C else least
-        high = high if 0.0 < high - greatest <= BEYOND_SEEN_C else greatest
-    count = (high - low) / step if step > 0.0 else 0.0
-    if count < 1.0 or abs(count - round(count)) > 1e-6:
-        raise InputError(
-            f"drift tables: the step must divide the range, got {low:g} to {high:g} degC by {step:g}. Example: 18 to 75 "
-            "by 0.5."
-        )
-    return np.linspace(low, high, round(count) + 1)
+    if not 0.0 < step_c < np.inf:
+        raise InputError(f"drift tables: the step between nodes must be above 0 K, got {step_c:g}. The note uses 0.5.")
+    low, high = step_c * np.floor(np.nanmin(seen_c) / step_c), step_c * np.ceil(np.nanmax(seen_c) / step_c)
+    low = RANGE_C[0] if 0.0 < low - RANGE_C[0] <= BEYOND_SEEN_C else low
+    high = RANGE_C[1] if 0.0 < RANGE_C[1] - high <= BEYOND_SEEN_C else high
+    return np.linspace(low, high, max(1, round((high - low) / step_c)) + 1)
 
 
 def _fit_rates(
-    steps: RateSteps, device: Calibration, static: StaticFit, rests: RestBlocks, tables: Tables
+    steps: RateSteps, device: Calibration, static: StaticFit, tables: Tables
 ) -> tuple[ScaleFit | None, DynamicFit | None, Verdict]:
     """Return matrix and dynamic drift with their verdict. The matrix is always fitted, because it shows the axes of the turns."""
     scale, dynamic, findings, temp_c = None, None, list[Finding](), static.table.temp_c
@@ -315,7 +300,7 @@ def _fit_rates(
             raise NotObservable("calibration or sessions have no gyroscopes.")
         if not len(steps):
             raise NotObservable("rests do not determine them. Turn the device at known rates at two temperatures.")
-        clean = prepared(steps, device, static=static.table, rests=rests)
+        clean = prepared(steps, device, static=static.table)
         scale = fit_scale(clean, device, temp_c=temp_c)
         if "dynamic" in tables:
             matrix = scale.drift if "scale" in tables else None

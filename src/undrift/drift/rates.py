@@ -5,14 +5,14 @@ its case. In a soak each sensor i reads ::
 
     u_i - offset_i(T) = sum_j K_ij w_j + d_im + noise        axes j of the turns, mounting m
 
-d is the offset error of the table (hysteresis, warm-up, g-sensitivity). It is fitted if a mounting has two rates or more. With a
-single rate, the mean reading of the rests of the same soak is its zero, or the table without rests. An axis that no soak turned
-keeps its column of K from the calibration, without an uncertainty. Each K_ij(T) gets a smooth curve (fit/curve.py), and
-``M(T) = K(T)^-1`` with dM = -M dK M. K is the best straight line over the imposed rates. The dynamic table contains the curvature.
+d is the offset error of the table (hysteresis, warm-up, g-sensitivity). Each mounting determines it, because it has two rates or
+more: a mounting with a single rate is left out. An axis that no soak turned keeps its column of K from the calibration, without an
+uncertainty. Each K_ij(T) gets a smooth curve (fit/curve.py), and ``M(T) = K(T)^-1`` with dM = -M dK M. K is the best straight line
+over the imposed rates. The dynamic table contains the curvature.
 
 Dynamic drift is the rate error that remains, per axis, as a table over measured rate and temperature: ``e(w, T) = w - true rate``
 with the measured rate w about the axis itself, so that the lookup needs no inversion. A smooth surface with e(0, T) = 0, a tensor
-product of cubic splines, is fitted to the steps of all soaks, and to the rests in the same pose at rate zero::
+product of cubic splines, is fitted to the steps of all soaks::
 
     r_k = e(w_k, T_k) + d_m(k) + noise          e(w, T) = sum_ij c_ij B_i(w) B_j(T)
     minimise  sum (r_k - e_k - d_m)^2 / v_k + integral (d2e/dw2)^2 / s_w^2 + integral (d2e/dT2)^2 / s_T^2
@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray, interpolated
-from undrift.drift.observe import RateSteps, RestBlocks
+from undrift.drift.observe import RateSteps
 from undrift.drift.offset import known_variance, near_data
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
@@ -44,8 +44,6 @@ from undrift.units import si_factor
 STEP_C = 5.0  # between the nodes of the dynamic table
 # a node between soaks and further from both is extrapolated: matrices change more evenly than offsets
 MATRIX_GAP_C = 10.0
-SAME_POSE = 0.2  # difference between two mean specific forces, share of their size
-SAME_TEMPERATURE_C = 1.5
 SAME_RATE = 0.01  # relative to the largest rate: closer rates are equal
 MAINLY = 0.5  # share of the turning rate from which a row counts for an axis
 NEAR_RATE = 0.02  # relative to the largest rate: a node this far beyond the measured rates is not extrapolated
@@ -61,13 +59,13 @@ ROWS = ("soak", "mounting", "axis", "temp_c", "rate_b", "reading", "variance")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Steps:
-    """Usable rate steps and the rests of their mountings, n rows."""
+    """Usable rate steps, n rows."""
 
     soak: IntArray  # (n,), numbered over all sessions
     mounting: IntArray  # (n,), numbered over all soaks
     axis: IntArray  # (n,), main axis about which the mounting turned
     temp_c: FloatArray  # (n,), degC
-    rate_b: FloatArray  # (n, 3), imposed rate in case axes, rad/s, or 0 for a rest
+    rate_b: FloatArray  # (n, 3), imposed rate in case axes, rad/s
     reading: FloatArray  # (n, 3), offset subtracted, raw unit
     variance: FloatArray  # (n, 3), raw unit squared
     findings: tuple[Finding, ...] = ()
@@ -75,19 +73,9 @@ class Steps:
     def __len__(self) -> int:
         return len(self.temp_c)
 
-    @property
-    def turning(self) -> BoolArray:
-        """True for rows that are not rests, (n,)."""
-        return np.asarray(self.rate_b.any(axis=1))
-
     def taken(self, rows: Any) -> "Steps":
         """Return some of the rows, with unchanged numbers of mountings."""
         return replace(self, **{name: getattr(self, name)[rows] for name in ROWS})
-
-    def has_rates(self, rows: Any) -> bool:
-        """Return True if some rows of the same mounting have two rates or more, which determine its offset."""
-        rate = self.rate_b[rows]
-        return bool(np.ptp(rate, axis=0).max() > SAME_RATE * np.abs(rate).max())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -122,60 +110,37 @@ class DynamicFit:
 # ---- rate steps made ready
 
 
-def prepared(
-    steps: RateSteps, calibration: Calibration, *, static: StaticDrift | None, rests: RestBlocks | None = None
-) -> Steps:
-    """Return the usable rows of rate steps, and one row at rest for each mounting that has rests, without their offsets."""
+def prepared(steps: RateSteps, calibration: Calibration, *, static: StaticDrift | None) -> Steps:
+    """Return the usable rows of rate steps without their offsets: those of mountings that turned at two rates or more."""
     finite = np.isfinite(steps.gyro).all(axis=1) & np.isfinite(steps.rate_b).all(axis=1) & np.isfinite(steps.temp_c)
     usable = steps.taken(finite & steps.rate_b.any(axis=1))
     if not len(usable):
         raise InputError(
             f"rate steps: none of {len(steps)} dwells has rate, reading and temperature. Check turn_rate_dps, temp_c and gaps."
         )
-    lost = len(steps) - int(finite.sum())
-    left_out, why = f"{lost} of {len(steps)} rate steps", "gaps in rate, reading or temperature"
     soak, axis = _number_groups(usable.session, usable.soak), np.abs(usable.rate_b).argmax(axis=1)
-    turning_steps = Steps(
+    mounting, turn_rate = _number_groups(soak, axis), usable.rate_b[np.arange(len(axis)), axis]
+    spans = np.array([np.ptp(turn_rate[mounting == m]) for m in range(mounting.max() + 1)])
+    rows = spans[mounting] > SAME_RATE * np.abs(turn_rate).max()
+    if not rows.any():
+        raise NotObservable(
+            "rate steps: no axis turned at two rates in a soak. Turn about each axis in both directions."
+        )
+    lost = len(steps) - int(rows.sum())
+    left_out, why = (
+        f"{lost} of {len(steps)} rate steps",
+        "gaps in rate, reading or temperature, or a single rate in a soak",
+    )
+    return Steps(
         soak=soak,
-        mounting=_number_groups(soak, axis),
+        mounting=mounting,
         axis=axis,
         temp_c=usable.temp_c,
         rate_b=usable.rate_b,
         reading=usable.gyro - _offset_at(usable.temp_c, calibration, static),
         variance=np.maximum(known_variance(usable.gyro_variance), (LEAST_DIGIT * np.abs(usable.gyro).max(axis=0)) ** 2),
         findings=(finding("drift.left_out", "warn", what=left_out, why=why),) if lost else (),
-    )
-    if rests is None:
-        return turning_steps
-    first, levels, variances, temps_c = list[int](), list[FloatArray](), list[FloatArray](), list[float]()
-    for m in range(turning_steps.mounting.max() + 1):
-        turns = np.flatnonzero(turning_steps.mounting == m)
-        blocks = _select_rests(usable.taken(turns), rests, any_pose=not turning_steps.has_rates(turns))
-        if len(blocks):
-            level = blocks.gyro - _offset_at(blocks.temp_c, calibration, static)
-            noise = level.var(axis=0, ddof=1) if len(blocks) > 1 else known_variance(blocks.gyro_variance)[0]
-            first.append(turns[0])
-            levels.append(level.mean(axis=0))
-            variances.append(np.maximum(noise / len(blocks), turning_steps.variance.min(axis=0)))
-            temps_c.append(float(blocks.temp_c.mean()))
-    still = replace(
-        turning_steps.taken(first),
-        temp_c=np.array(temps_c),
-        rate_b=np.zeros((len(first), 3)),
-        reading=np.reshape(levels, (-1, 3)),
-        variance=np.reshape(variances, (-1, 3)),
-    )
-    rows: dict[str, Any] = {name: np.concatenate((getattr(turning_steps, name), getattr(still, name))) for name in ROWS}
-    return replace(turning_steps, **rows)
-
-
-def _select_rests(turns: RateSteps, rests: RestBlocks, *, any_pose: bool) -> RestBlocks:
-    """Return the rests at the session and temperature of a mounting in its pose, or in any pose if none match and it is allowed."""
-    same_soak = np.abs(rests.temp_c - turns.temp_c.mean()) < SAME_TEMPERATURE_C
-    same_soak &= np.isfinite(rests.gyro).all(axis=1) & (rests.session == turns.session[0])
-    force = turns.accel.mean(axis=0)
-    same_pose = same_soak & (np.linalg.norm(rests.accel - force, axis=1) < SAME_POSE * np.linalg.norm(force))
-    return rests.taken(same_soak if any_pose and not same_pose.any() else same_pose)
+    ).taken(rows)
 
 
 def _number_groups(*keys: IntArray) -> IntArray:
@@ -274,10 +239,8 @@ def soak_matrices(steps: Steps, calibration: Calibration) -> SoakMatrices:
         rate, size = steps.rate_b[rows], np.linalg.norm(steps.rate_b[rows], axis=1, keepdims=True)
         turn_axes = (np.abs(rate) > MAINLY * size).any(axis=0)
         reading = steps.reading[rows] - rate[:, ~turn_axes] @ constant[:, ~turn_axes].T
-        free = [
-            m for m in np.unique(steps.mounting[rows]) if steps.has_rates(steps.mounting == m)
-        ]  # each mounting has its own offset
-        design = np.column_stack((rate[:, turn_axes] / size.max(), steps.mounting[rows][:, None] == np.array(free)))
+        own_offset = steps.mounting[rows][:, None] == np.unique(steps.mounting[rows])
+        design = np.column_stack((rate[:, turn_axes] / size.max(), own_offset))
         if np.linalg.matrix_rank(design, tol=1e-3) < design.shape[1]:
             raise NotObservable(
                 f"scale over temperature: {rows.sum()} turns at {temp_c[order[k]]:.1f} degC do not separate the axes. Turn about "
@@ -309,7 +272,7 @@ def _weigh(design: FloatArray, y: FloatArray, v: FloatArray) -> tuple[FloatArray
 class SurfacePoints:
     """Residual rates of an axis, n rows."""
 
-    turn_rate: FloatArray  # (n,), measured rate, rad/s, or 0 for a rest
+    turn_rate: FloatArray  # (n,), measured rate, rad/s
     temp_c: FloatArray  # (n,), degC
     value: FloatArray  # (n,), measured minus imposed rate, rad/s
     variance: FloatArray  # (n,), of the value, (rad/s)^2
@@ -359,7 +322,7 @@ def fit_dynamic(
     if not axis_points:
         soaks = len(np.unique(steps.soak))
         raise NotObservable(
-            f"dynamic drift: no axis turned at two rates and three soaks among {len(steps)} steps at {soaks} soaks, "
+            f"dynamic drift: no axis turned at three soaks among {len(steps)} steps at {soaks} soaks, "
             f"{steps.temp_c.min():.1f} to {steps.temp_c.max():.1f} degC. Repeat the steps at another temperature.",
             soaks=soaks,
         )
@@ -394,17 +357,16 @@ def fit_dynamic(
 def _surface_points(
     axis: int, steps: Steps, calibration: Calibration, scale: ScaleDrift | None
 ) -> SurfacePoints | None:
-    """Return the rows of mountings that turned about an axis, or None without three soaks and two rates."""
+    """Return the rows of mountings that turned about an axis, or None without three soaks."""
     axis_steps = steps.taken(steps.axis == axis)
-    turning, imposed = axis_steps.turning, axis_steps.rate_b[:, axis]
-    if len(np.unique(axis_steps.soak)) < 3 or len(np.unique(imposed[turning])) < 2:
+    if len(np.unique(axis_steps.soak)) < 3:
         return None
     rate = measured_rate(axis_steps.reading, axis_steps.temp_c, calibration, scale)[:, axis]
     row = measured_rate(np.eye(3), np.zeros(3), calibration, None)[:, axis]  # row of M
     return SurfacePoints(
-        turn_rate=np.where(turning, rate, 0.0),
+        turn_rate=rate,
         temp_c=axis_steps.temp_c,
-        value=rate - imposed,
+        value=rate - axis_steps.rate_b[:, axis],
         variance=axis_steps.variance @ row**2,
         soak=_number_groups(axis_steps.soak),
         mounting=_number_groups(axis_steps.mounting),
