@@ -18,7 +18,7 @@ from undrift.calibration.norm import MG, fit_norm, judged
 from undrift.calibration.rate_table import fit_rate_table
 from undrift.calibration.table import dwell_means
 from undrift.drift.observe import RestBlocks, observe_rests
-from undrift.drift.offset import StaticSettings, fit_static
+from undrift.drift.offset import fit_static
 from undrift.model import TriadModel
 from undrift.record import Record, Session, Still
 from undrift.segments import still_means
@@ -269,7 +269,7 @@ def warm_up() -> Table:
     residuals: dict[str, list[float]] = {}
     for parity in (0, 1):
         learning, judged_on = (blocks_of(record, minutes[k::2]) for k in (parity, 1 - parity))
-        table = fit_static(learning, nodes=NODES, settings=StaticSettings(accel_unit="g")).table
+        table = fit_static(learning, nodes=NODES).table
         middle = learning.temp_c.mean()
         curves = {"constant": np.tile(learning.gyro.mean(axis=0), (len(judged_on.temp_c), 1))}
         for degree, name in ((1, "straight line"), (3, "cubic, as PX4 and ArduPilot store")):

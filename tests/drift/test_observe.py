@@ -14,7 +14,6 @@ from testkit.data import show
 from testkit.rate_steps import GRID, computed
 from undrift.drift.fit import fit_drift
 from undrift.drift.observe import (
-    accel_unit_of,
     in_units_of,
     nominal_models,
     observe_rests,
@@ -140,14 +139,6 @@ def test_a_nominal_model_keeps_the_unit_and_counts_have_none():
     assert model.verdict.status == "marginal"
     with pytest.raises(NotObservable, match="no known scale"):
         nominal_models([session(record())])
-
-
-def test_the_unit_of_the_accelerometers_is_the_calibrations_or_the_one_they_share():
-    physical = session(record(gyro_unit="dps", accel_unit="g"))
-    bare = nominal_models([physical])
-    assert accel_unit_of([physical], bare) == "g"
-    assert accel_unit_of([physical, session(record())], bare) == "count"
-    assert accel_unit_of([physical], COUNTS) == COUNTS.accel.unit_in
 
 
 TEMPS = np.concatenate((np.arange(20.0, 71.0, 10.0), np.arange(65.0, 24.0, -10.0)))

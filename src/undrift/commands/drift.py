@@ -47,7 +47,7 @@ def drift(
     sessions : Path
         One or more thermal sessions of the device: folders with session.toml, recordings at rest while the temperature
         changes, or daily recordings with a rest in each. Several sessions are combined, and their differences count as
-        uncertainty. Recordings whose clock continues within 60 s form a session.
+        uncertainty. Each recording is a session, with a switch-on of its own.
     calibration : Path or None
         calibration.json of the device, or a folder of calibrations: the newest one of its serial number. Without it
         physical units keep their nominal scale, and counts are refused.
@@ -100,20 +100,13 @@ def _read_and_fit(
 ) -> "tuple[DriftFit, Session]":
     """Read the sessions and fit. Return the fit and the first session."""
     from undrift.drift.fit import fit_drift
-    from undrift.drift.observe import one_power_on
-    from undrift.io.formats import detect
     from undrift.record import Session
 
-    read, bare, session_list = list[Session](), list[Session](), list[Session]()
+    read = list[Session]()
     for k, path in enumerate(sessions):
         with reading(part_of(progress, 0.4 * k / len(sessions), 0.4 * (k + 1) / len(sessions)), 1.0, path):
             read.append(thermal_session(path, opening, model))
-        (session_list if detect(path) == "session" else bare).append(read[-1])
-    together = [
-        *session_list,
-        *one_power_on(bare),
-    ]  # recordings without a session form one session if their clock continues
-    return fit_drift(together, model, settings=settings, progress=part_of(progress, 0.4, 1.0)), read[0]
+    return fit_drift(read, model, settings=settings, progress=part_of(progress, 0.4, 1.0)), read[0]
 
 
 def _notes(fit: "DriftFit", model: "Calibration | None", path: Path | None) -> Iterator[str]:

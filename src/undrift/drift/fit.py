@@ -169,7 +169,6 @@ def fit_drift(
     sessions = _check_sessions(sessions, calibration, settings)
     device = observe.nominal_models(sessions) if calibration is None else judge.without_tables(calibration)
     sessions = [observe.in_units_of(session, device) for session in sessions]
-    accel_unit = observe.accel_unit_of(sessions, device)
     report("smoothing the temperature", 0.0)
     trusted = [[thermometer.trusted_temperature(s, k) for k in range(len(s.records))] for s in sessions]
     temperatures = [temperature for session_temperatures in trusted for temperature in session_temperatures]
@@ -193,9 +192,7 @@ def fit_drift(
     seen_c = np.concatenate((rests.temp_c, steps.temp_c))
     nodes = table_nodes(np.array([seen_c.min() - margin_c, seen_c.max() + margin_c]), settings.step_c)
     accel, accel_verdict = _accelerometers(rests, device, nodes)
-    static_settings = replace(
-        settings.static, accel=accel is None, accel_unit=accel_unit, lag_uncertainty_s=_lag_uncertainty(lag, lag_s)
-    )
+    static_settings = replace(settings.static, accel=accel is None, lag_uncertainty_s=_lag_uncertainty(lag, lag_s))
     static = fit_static(rests, nodes=nodes, calibration=device, settings=static_settings)
     judge.check_sessions(static, device)
     verdict = verdict.also(judge.offsets_verdict(static, device, felt_by_gyro(rests, device).mean(axis=0)))

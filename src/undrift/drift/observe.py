@@ -47,7 +47,6 @@ SOAK_C = 1.5  # a dwell further than this from the first one of its soak begins 
 SAME_POSE = 3.0 * RADIAN_PER_DEGREE
 OUTLIER = 6.0 * 1.4826  # median absolute deviations of a block: six standard deviations of normal noise
 LEAST_SHARE = 0.5  # smallest share of valid samples in a block
-GAP_S = 60.0  # longest pause of a continuous clock without another switch-on
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -90,8 +89,6 @@ class RestBlocks(StretchMeans):
     # (n, 3), standard deviation of the mean from the converter's steps, raw unit (constant while the input is constant)
     gyro_step_error: FloatArray | None = None
     accel_step_error: FloatArray | None = None  # (n, 3), likewise
-    # (n,), as ``pose``, but a face gets a new number if it is mounted again after another face, because its tilt differs
-    mounting: IntArray | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -107,16 +104,8 @@ def observe_rests(sessions: Sequence[Session], *, temperatures: Temperatures) ->
     parts, poses = list[RestBlocks](), 0
     for number, (session, temps) in enumerate(zip(sessions, temperatures, strict=True)):
         blocks = set_point_rests(session, temps) if session.means else session_rests(session, temps)
-        parts += [
-            replace(
-                rests,
-                session=rests.session + number,
-                pose=rests.pose + poses,
-                mounting=np.asarray(rests.mounting) + poses,
-            )
-            for rests in blocks
-        ]
-        poses = 1 + max((int(np.max(np.asarray(rests.mounting), initial=-1)) for rests in parts), default=-1)
+        parts += [replace(rests, session=rests.session + number, pose=rests.pose + poses) for rests in blocks]
+        poses = 1 + max((int(np.max(rests.pose, initial=-1)) for rests in parts), default=-1)
     if not any(len(rests) for rests in parts):
         raise NotObservable(
             "rests: no stretch at rest with a known temperature was found. Leave the device still while its temperature changes, "
@@ -127,19 +116,9 @@ def observe_rests(sessions: Sequence[Session], *, temperatures: Temperatures) ->
 
 def observe_steps(sessions: Sequence[Session], *, temperatures: Temperatures) -> RateSteps:
     """Gather the dwells at known rates from thermal sessions."""
-    empty, three, integers = np.zeros(0), np.zeros((0, 3)), np.zeros(0, np.int64)
-    parts = [
-        RateSteps(
-            session=integers,
-            soak=integers,
-            time=empty,
-            temp_c=empty,
-            rate_b=three,
-            gyro=three,
-            accel=three,
-            gyro_variance=three,
-        )
-    ]
+    numbers, values, rows3 = ("session", "soak"), ("time", "temp_c"), ("rate_b", "gyro", "accel", "gyro_variance")
+    empty: dict[str, Any] = dict.fromkeys(numbers, np.zeros(0, np.int64)) | dict.fromkeys(values, np.zeros(0))
+    parts = [RateSteps(**(empty | dict.fromkeys(rows3, np.zeros((0, 3)))))]
     for number, (session, temps) in enumerate(zip(sessions, temperatures, strict=True)):
         steps = set_point_steps(session, temps) if session.means else session_steps(session, temps)
         for rows in steps:
@@ -168,8 +147,7 @@ def session_rests(session: Session, temps: Sequence[FloatArray]) -> list[RestBlo
     stills, begins_s, ages_s = find_rests(session), session.begins_s, _ages(session.records)
     steps = [code_steps(session.records, rate=rate) for rate in (True, False)]
     poses, parts = _poses(session, stills), list[RestBlocks]()
-    mountings = np.cumsum(np.diff(poses, prepend=poses[:1]) != 0)
-    for still, pose, mounting in zip(stills, poses, mountings, strict=True):
+    for still, pose in zip(stills, poses, strict=True):
         record, rows = session.records[still.recording], slice(still.start, still.stop)
         time, temp_c = record.time[rows], temps[still.recording][rows]
         edges, size = _edges(time), block_size(record.sample_rate_hz)
@@ -181,7 +159,6 @@ def session_rests(session: Session, temps: Sequence[FloatArray]) -> list[RestBlo
         blocks = RestBlocks(
             session=number,
             pose=number + pose,
-            mounting=number + mounting,
             time=since_begin + begins_s[still.recording],
             power_on_s=since_begin + ages_s[still.recording],
             temp_c=np.array([_mean_temperature(temp_c[a:b]) for a, b in pairwise(edges)]),
@@ -354,7 +331,6 @@ def set_point_rests(session: Session, temps: Sequence[FloatArray]) -> list[RestB
             RestBlocks(
                 **columns,
                 pose=pose,
-                mounting=pose,
                 power_on_s=record.time[rows] - record.time[0] + ages_s[k],
                 ramp_c_per_min=np.zeros(len(rows)),
                 accel_variance=means.accel_uncertainty[rows] ** 2,
@@ -469,38 +445,6 @@ def nominal_triad(unit: str, quantity: Quantity) -> TriadModel:
         condition=1.0,
         valid_range=(-np.inf, np.inf),
     )
-
-
-def accel_unit_of(sessions: Sequence[Session], device: Calibration) -> str:
-    """Return the unit of the accelerometers' readings."""
-    if device.accel is not None:
-        return device.accel.unit_in
-    units = {record.accel_unit for session in sessions for record in session.records if record.accel is not None}
-    return units.pop() if len(units) == 1 else "count"
-
-
-def one_power_on(sessions: Sequence[Session]) -> list[Session]:
-    """Join recordings whose clock continues from one to the next, because the device was not switched off between them."""
-    chains = list[list[int]]()
-    for k in sorted(range(len(sessions)), key=lambda k: (sessions[k].records[0].time[0], k)):
-        candidates = [chain for chain in chains if _is_continuation(sessions[chain[-1]], sessions[k])]
-        if candidates:
-            max(candidates, key=lambda chain: sessions[chain[-1]].records[-1].time[-1]).append(k)
-        else:
-            chains.append([k])
-    return [
-        replace(
-            sessions[chain[0]],
-            records=tuple(record for k in chain for record in sessions[k].records),
-            inputs=tuple(entry for k in chain for entry in sessions[k].inputs),
-        )
-        for chain in sorted(chains, key=min)
-    ]
-
-
-def _is_continuation(earlier: Session, later: Session) -> bool:
-    pause = later.records[0].time[0] - earlier.records[-1].time[-1]
-    return bool(0.0 < pause <= GAP_S and earlier.serial == later.serial)
 
 
 def check_once(sessions: Sequence[Session]) -> None:

@@ -26,21 +26,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
-from undrift.calibration.plausibility import check_gravity
 from undrift.drift.observe import RestBlocks
-from undrift.errors import Implausible, NotObservable
-from undrift.findings import Finding, Level, finding
+from undrift.errors import NotObservable
+from undrift.findings import Finding, finding
 from undrift.fit.curve import Cubics, Curve, NodeValues, fit_curve, not_a_knot
 from undrift.fit.gls import determined, excess_variance, student_factor
 from undrift.fit.priors import ACCEL_FLICKER, GYRO_FLICKER, THERMOMETER_LAG
 from undrift.model import G_NAMES, Calibration, StaticDrift, TriadModel, Verdict, WarmUp
-from undrift.units import STANDARD_GRAVITY, is_physical, si_factor
 
 UNKNOWN_SCALE_PER_K = 2e-4  # accelerometers in a single pose: a capacitive sensor shifts by +-1 % in 50 K
 EDGE_C = 0.5  # a node this far outside the observed temperatures is extrapolated
 GAP_C = 5.0  # and so is a node between observed temperatures, this far from both
 SLOPE_POINTS = 60
-MOST_OF_SPAN = 0.8  # share of a pose's range that a mounting must cover to replace all mountings [assumed]
 # ---- cells
 CELL_C, MOST_CELLS = 0.5, 100  # narrowest cell, and number of cells above which they are widened
 APART_C, APART_S = 2.0, 60.0  # between blocks: a larger step or a longer pause begins another rest
@@ -68,7 +65,6 @@ class StaticSettings:
     not_a_knot: bool = False  # True for the note's spline through the set-point means, False for the smooth curve
     warm_up: bool = False  # fit a power-on transient, if recordings begin at power-on
     accel: bool = True  # False if poses determine the accelerometers, so that the fit to a single pose is not needed
-    accel_unit: str = "count"  # unit of the accelerometer's readings without a calibration
     lag_uncertainty_s: float = THERMOMETER_LAG  # standard uncertainty of the remaining lag, s
 
 
@@ -115,7 +111,7 @@ class TurnOn:
 class TriadDrift:
     """Offset over temperature of a triad, n nodes, raw unit."""
 
-    offset: FloatArray | None  # (n, 3), absolute, or None if only the change is known
+    offset: FloatArray  # (n, 3), absolute
     uncertainty: FloatArray  # (n, 3), standard uncertainty of each node, for a future visit
     visit: FloatArray  # (3,), standard deviation of a visit's contribution, included in ``uncertainty``
     extrapolated: BoolArray  # (n,), True if no data were near
@@ -161,17 +157,16 @@ def fit_static(
     if rates is not None:
         gyro = _fit_triad(rates, nodes, settings)
         findings += gyro.findings
-    try:
-        accel = _fit_accel(blocks, nodes, calibration, settings) if settings.accel else None
-    except (NotObservable, Implausible) as error:
-        level: Level = "warn" if isinstance(error, Implausible) else "info"
-        findings.append(finding("drift.not_observable", level, what=_OF_ACCEL, problem=str(error)))
+    if settings.accel and np.isfinite(blocks.accel).any():
+        try:
+            accel = _fit_accel(blocks, nodes, calibration, settings)
+        except NotObservable as error:
+            what = "Accelerometer offset over temperature"
+            findings.append(finding("drift.not_observable", "info", what=what, problem=str(error)))
     if accel is not None:
         findings += () if gyro is not None else accel.findings  # otherwise the gyroscopes report the same rests
         values = {"poses": len(np.unique(blocks.pose)), "span_c": accel.span_c[1] - accel.span_c[0]}
         findings.append(finding("drift.accel_one_pose", "info", **values, percent_per_c=100.0 * UNKNOWN_SCALE_PER_K))
-        if accel.offset is None:
-            findings.append(finding("drift.not_observable", "info", what=_OF_ACCEL, problem=_NO_TABLE))
     if gyro is None and accel is None and settings.accel:
         raise NotObservable(
             "static drift: expected readings at two temperatures or more, got none. "
@@ -180,7 +175,7 @@ def fit_static(
     columns = {
         f"{sensor}_{name}": getattr(triad, name)
         for sensor, triad in (("gyro", gyro), ("accel", accel))
-        if triad is not None and triad.offset is not None
+        if triad is not None
         for name in ("offset", "uncertainty", "extrapolated", "visit")
     }
     table = StaticDrift(
@@ -190,13 +185,6 @@ def fit_static(
         warm_up=None if gyro is None else gyro.warm_up,
     )
     return StaticFit(table=table, gyro=gyro, accel=accel, verdict=Verdict.of(*findings))
-
-
-_OF_ACCEL = "Accelerometer offset over temperature"
-_NO_TABLE = (
-    "only the change over temperature is known. Calibrate six faces with a temperature column: the calibration must have "
-    "accelerometers and a reference temperature."
-)
 
 
 # ---- offset readings
@@ -223,37 +211,19 @@ def gyro_offsets(blocks: RestBlocks, calibration: Calibration | None) -> Offsets
     )
 
 
-def accel_offsets(blocks: RestBlocks, calibration: Calibration | None, accel_unit: str) -> Offsets:
-    """Return the accelerometers' readings in the pose with the widest range of temperature, if possible in one mounting.
-
-    Raise ``NotObservable`` without readings, and ``Implausible`` if they cannot be gravity.
-    """
+def accel_offsets(blocks: RestBlocks, model: TriadModel) -> Offsets:
+    """Return the accelerometers' readings in the pose with the widest range of temperature."""
     blocks = blocks.taken(np.isfinite(blocks.accel).all(axis=1))
-    if not len(blocks):
-        raise NotObservable("no readings. Map the accel columns.")
-    force = specific_force(blocks, calibration)
-    if force is None and is_physical(accel_unit):
-        force = blocks.accel * si_factor(accel_unit, "accel")
-    if force is not None:
-        check_gravity(force, STANDARD_GRAVITY if calibration is None else calibration.gravity_m_s2)
-    blocks = _widest(blocks, blocks.pose, 0.0)
-    if blocks.mounting is not None:  # a face mounted again is not level as before: its tilt would count as temperature
-        blocks = _widest(blocks, blocks.mounting, MOST_OF_SPAN * float(np.ptp(blocks.temp_c)))
+    spans_c = [float(np.ptp(blocks.temp_c[blocks.pose == pose])) for pose in np.unique(blocks.pose)]
+    blocks = blocks.taken(blocks.pose == np.unique(blocks.pose)[int(np.argmax(spans_c))])
     return Offsets(
         blocks=blocks,
         value=np.array(blocks.accel),
         variance=known_variance(blocks.accel_variance),
         step_error=blocks.accel_step_error,
         common_variance=np.zeros(3),
-        flicker=_flicker_variance(None if calibration is None else calibration.accel, ACCEL_FLICKER),
+        flicker=_flicker_variance(model, ACCEL_FLICKER),
     )
-
-
-def _widest(blocks: RestBlocks, number: IntArray, least_c: float) -> RestBlocks:
-    """Return the blocks of the number with the widest range of temperature, or all blocks if the range is below ``least_c``."""
-    widest = max(np.unique(number).tolist(), key=lambda k: float(np.ptp(blocks.temp_c[number == k])))
-    widest_blocks = blocks.taken(number == widest)
-    return widest_blocks if np.ptp(widest_blocks.temp_c) >= least_c else blocks
 
 
 def known_variance(variance: FloatArray) -> FloatArray:
@@ -354,12 +324,13 @@ def _fit_triad(
 def _fit_accel(
     blocks: RestBlocks, nodes: FloatArray, calibration: Calibration | None, settings: StaticSettings
 ) -> TriadDrift:
-    offsets = accel_offsets(blocks, calibration, settings.accel_unit)
-    model = None if calibration is None else calibration.accel
-    reference_c = np.nan if calibration is None else calibration.reference_temp_c
-    if model is None or not np.isfinite(reference_c):
-        return replace(_fit_triad(offsets, nodes, settings), offset=None)
-    triad = _fit_triad(offsets, nodes, settings, (reference_c, model))
+    if calibration is None or calibration.accel is None or not np.isfinite(calibration.reference_temp_c):
+        raise NotObservable(
+            "it needs a calibration of the accelerometers with its reference temperature. Calibrate six faces with a temperature "
+            "column."
+        )
+    model, reference_c = calibration.accel, calibration.reference_temp_c
+    triad = _fit_triad(accel_offsets(blocks, model), nodes, settings, (reference_c, model))
     unknown = UNKNOWN_SCALE_PER_K * np.abs(nodes - reference_c)[:, None] * np.abs(triad.gravity)
     return replace(triad, uncertainty=np.hypot(triad.uncertainty, unknown))
 
