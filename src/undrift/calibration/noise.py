@@ -20,7 +20,7 @@ from undrift.base.summary import Shown
 from undrift.errors import InputError
 from undrift.findings import Finding, Level, finding
 from undrift.fit.gls import excess_variance
-from undrift.model import AXES, NoiseModel, Verdict
+from undrift.model import AXES, Verdict
 from undrift.record import Record
 from undrift.segments import BENCH_ACCEL_LIMIT, BENCH_RATE_LIMIT
 from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, Quantity, is_physical, si_factor
@@ -35,6 +35,7 @@ from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, Quantity, is_physical, si_
 # is estimated from the slope of the curve at tau (Howe, Allan, Barnes, "Properties of signal sources and measurement methods",
 # 1981; Riley, NIST SP 1065, 2008, section 5.4.1). With gaps, edf is taken from a gapless record with as many differences.
 
+CONFIDENCE = 0.95  # probability of the intervals
 LEAST_AVERAGES = 30  # averages from which the slope determines the kind of noise
 
 
@@ -50,7 +51,7 @@ class AllanDeviation:
 
 
 def allan_deviation(
-    x: ArrayLike, sample_rate_hz: float, *, taus: Sequence[float] | None = None, confidence: float = 0.95
+    x: ArrayLike, sample_rate_hz: float, *, taus: Sequence[float] | None = None, confidence: float = CONFIDENCE
 ) -> AllanDeviation:
     """Return the overlapping Allan deviation of one channel (N,), with NaN for missing samples.
 
@@ -178,7 +179,6 @@ class NoiseFit(Shown):
     gyro_unit: str  # rad/s and m/s2, or the unit of the readings if it is not a physical one
     accel_unit: str
     duration_s: float
-    confidence: float  # probability of the intervals
     verdict: Verdict  # terms that are not observable, and the necessary record length
 
     def _rows(self) -> dict[str, str]:
@@ -191,24 +191,9 @@ class NoiseFit(Shown):
                     rows[f"{triad}: {term}"] = f"{values} {coefficients[0].unit}"
         return rows | {"verdict": self.verdict.status}
 
-    def model(self) -> NoiseModel:
-        """Return the coefficients in SI units as a calibration stores them, with NaN for missing coefficients.
 
-        Raise ``InputError`` if the readings are counts or volts.
-        """
-        values = []
-        for axes, unit in ((self.gyro, self.gyro_unit), (self.accel, self.accel_unit)):
-            if axes and not is_physical(unit):
-                raise InputError(
-                    f"noise model: expected rad/s and m/s2, got {unit}. Correct the record with its calibration first."
-                )
-            values += [np.array([getattr(axis, name).value for axis in axes] or (np.nan,) * 3) for name in _NAMES]
-        names = (*_NAMES, "velocity_random_walk", "accel_bias_instability", "accel_random_walk")
-        return NoiseModel(**dict(zip(names, values, strict=True)))
-
-
-def fit_noise(record: Record, *, confidence: float = 0.95) -> NoiseFit:
-    """Fit noise coefficients to a recording of a device at rest.
+def fit_noise(record: Record) -> NoiseFit:
+    """Fit noise coefficients with 95 % intervals to a recording of a device at rest.
 
     The module docstring defines model and weights. Raises ``InputError`` for fewer than 64 samples, uneven time, a constant
     channel, or motion.
@@ -217,8 +202,6 @@ def fit_noise(record: Record, *, confidence: float = 0.95) -> NoiseFit:
     ----------
     record : Record
         Recording at rest throughout. Averages that span a drop-out or a gap (NaN) are not used.
-    confidence : float
-        Probability of the intervals, between 0 and 1.
 
     Examples
     --------
@@ -228,7 +211,7 @@ def fit_noise(record: Record, *, confidence: float = 0.95) -> NoiseFit:
     >>> print(f"{noise.gyro[0].angle_random_walk.value:.4f}")  # 0.01 rad/s at 100 Hz: 0.001 rad/s/sqrt(Hz)
     0.0010
     """
-    gyro, accel = (_fit_triad(record, quantity, confidence) for quantity in ("rate", "accel"))
+    gyro, accel = (_fit_triad(record, quantity) for quantity in ("rate", "accel"))
     findings = (*_unit_findings(record, gyro), *_findings("gyro", gyro, record), *_findings("accel", accel, record))
     return NoiseFit(
         gyro=gyro,
@@ -236,7 +219,6 @@ def fit_noise(record: Record, *, confidence: float = 0.95) -> NoiseFit:
         gyro_unit=_unit(record.gyro_unit, "rate"),
         accel_unit=_unit(record.accel_unit, "accel"),
         duration_s=record.duration_s,
-        confidence=confidence,
         verdict=Verdict.of(*findings),
     )
 
@@ -245,7 +227,7 @@ def _unit(unit: str, quantity: Quantity) -> str:
     return SI_UNIT[quantity] if is_physical(unit) else unit
 
 
-def _fit_triad(record: Record, quantity: Quantity, confidence: float) -> tuple[AxisNoise, ...]:
+def _fit_triad(record: Record, quantity: Quantity) -> tuple[AxisNoise, ...]:
     """Return the noise of each axis of a triad."""
     name = "gyro" if quantity == "rate" else "accel"
     values, unit = getattr(record, name), getattr(record, f"{name}_unit")
@@ -261,10 +243,8 @@ def _fit_triad(record: Record, quantity: Quantity, confidence: float) -> tuple[A
     _check_rest(rest_readings, record.time[finite], record.sample_rate_hz, quantity, physical=is_physical(unit))
     readings = np.full((int(places[-1]) + 1, 3), np.nan)  # on an even clock
     readings[places[finite]] = rest_readings
-    curves = [allan_deviation(column, record.sample_rate_hz, confidence=confidence) for column in readings.T]
-    return tuple(
-        _fit_axis(curve, axis, _unit(unit, quantity), confidence) for curve, axis in zip(curves, AXES, strict=True)
-    )
+    curves = [allan_deviation(column, record.sample_rate_hz) for column in readings.T]
+    return tuple(_fit_axis(curve, axis, _unit(unit, quantity)) for curve, axis in zip(curves, AXES, strict=True))
 
 
 def _places(record: Record) -> IntArray:
@@ -281,19 +261,18 @@ def _places(record: Record) -> IntArray:
 
 def _check_rest(values: FloatArray, time: FloatArray, rate_hz: float, quantity: Quantity, *, physical: bool) -> None:
     """Raise if a channel is stuck, or if means over 0.1 s vary within a second by more than at rest."""
-    name, width = "gyro" if quantity == "rate" else "accel", min(max(20, round(rate_hz)), len(values) // 3)
-    deviation, tenth = values.std(axis=0), max(1, width // 10)
+    name, deviation = "gyro" if quantity == "rate" else "accel", values.std(axis=0)
     if (deviation == 0.0).any():
         raise InputError(f"noise: {name} {AXES[int(np.argmin(deviation))]} has one value throughout. Check the column.")
-    windows = values[: len(values) // width * width].reshape(-1, width, 3)[:, : width // tenth * tenth]
-    means = windows.reshape(len(windows), -1, tenth, 3).mean(axis=2)
+    tenth = max(1, min(round(0.1 * rate_hz), len(values) // 30))
+    means = values[: len(values) // (10 * tenth) * 10 * tenth].reshape(-1, 10, tenth, 3).mean(axis=2)
     motion = np.sqrt(means.var(axis=1).sum(axis=1))
     # spread of the means that noise without motion causes
     white = float(np.sqrt((np.diff(values, axis=0).var(axis=0) / 2.0).sum() / tenth))
     usual, limit = float(np.median(motion)), BENCH_RATE_LIMIT if quantity == "rate" else BENCH_ACCEL_LIMIT
     moving = np.flatnonzero(motion > 10.0 * max(usual, white))
     if len(moving) or (physical and usual > max(limit, 3.0 * white)):
-        first_s = float(time[int(moving[0] if len(moving) else 0) * width])
+        first_s = float(time[int(moving[0] if len(moving) else 0) * 10 * tenth])
         raise InputError(
             f"noise: the device must be at rest, but {name} readings move in {len(moving) or len(motion)} of {len(motion)} "
             f"windows, first at {first_s:.6g} s, by up to {motion.max():.3g}. Lay the device down, or cut out a stretch at rest.",
@@ -307,7 +286,7 @@ def _shapes(tau: FloatArray) -> FloatArray:
     return np.column_stack((3.0 / tau**2, 1.0 / tau, np.full(len(tau), FLICKER), tau / 3.0))
 
 
-def _fit_axis(curve: AllanDeviation, axis: str, unit: str, confidence: float) -> AxisNoise:
+def _fit_axis(curve: AllanDeviation, axis: str, unit: str) -> AxisNoise:
     """Fit an axis. The square of an observable coefficient is distributed as chi-square with 2 (square / error)^2 degrees."""
     from scipy.optimize import nnls
 
@@ -326,7 +305,7 @@ def _fit_axis(curve: AllanDeviation, axis: str, unit: str, confidence: float) ->
         )
     errors = np.sqrt(np.diag(np.linalg.pinv((rows / size).T @ (rows / size)))) / size  # errors with all terms free
     observable, value = squares > OBSERVABLE * errors, np.sqrt(squares)
-    low, high = _interval_factors(2.0 * np.where(observable, squares / errors, 1.0) ** 2, confidence)
+    low, high = _interval_factors(2.0 * np.where(observable, squares / errors, 1.0) ** 2, CONFIDENCE)
     high = np.where(observable, value * high, np.sqrt(squares + UPPER * errors))
     coefficients = {
         name: NoiseCoefficient(

@@ -29,7 +29,13 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.codes import limited_by_codes
-from undrift.calibration.plausibility import SCALE_TOLERANCE, axis_vectors, check_axis_order, check_own_scale
+from undrift.calibration.plausibility import (
+    SCALE_TOLERANCE,
+    axis_vectors,
+    check_axis_order,
+    check_own_scale,
+    face_vectors,
+)
 from undrift.calibration.session import Observed, Outcome, spans_of, with_offset
 from undrift.calibration.sources import Creep, creep_of, gyro_drift, in_case, walks_of
 from undrift.calibration.table import DwellMeans, dwell_means, imposed_rates, mountings, table_axes, table_turns
@@ -43,7 +49,7 @@ from undrift.fit.priors import (
     SCALE_FACTOR_IN_COUNTS,
     UNCERTAIN_PERCENT,
 )
-from undrift.fit.triad import TriadFit, fit_of, fit_paper, parameters_of, scaled_condition
+from undrift.fit.triad import TriadFit, fit_of, fit_paper, parameters_of
 from undrift.model import AXES, TriadModel, Verdict
 from undrift.record import Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
@@ -217,8 +223,7 @@ def _sources(rows: _TableRows, matrix: FloatArray, dwells: DwellMeans) -> dict[s
         columns = np.zeros((count, 3, axes.columns.shape[2]))
         columns[:number] = axes.columns * dwells.turn_rate[:, None, None]
         tilts, common = columns.reshape(3 * count, -1), axes.rate * rows.rate.ravel()
-        wobble = _turning(dwells, count)[0]
-        wobble[:number] *= axes.wobble[:, None]
+        wobble = axes.wobble * _turning(dwells, count)[0]
         sources["rate"] = np.outer(common, common)
         sources["mounting"] = tilts @ tilts.T + np.diag(wobble.ravel() ** 2)
     return sources
@@ -232,10 +237,9 @@ def _excess(rows: _TableRows, dwells: DwellMeans) -> dict[str, FloatArray]:
     cross_rate, axis_rate = _turning(dwells, count)
     shapes = {"mounting wobble": cross_rate.ravel() ** 2, "ripple": axis_rate.ravel() ** 2}
     if dwells.axes is not None and dwells.axes.ripple.any():
-        relative = np.zeros((count, dwells.axes.ripple.shape[1]))
-        relative[: len(dwells.turn_rate)] = dwells.axes.ripple
-        columns = (axis_rate[:, :, None] * relative[:, None]).reshape(3 * count, -1)
-        shapes["ripple azimuth"] = columns @ columns.T
+        relative = np.zeros((count, count))
+        relative[: len(dwells.turn_rate), : len(dwells.turn_rate)] = dwells.axes.ripple
+        shapes["ripple azimuth"] = np.kron(relative, np.ones((3, 3))) * np.outer(axis_rate, axis_rate)
     return shapes | walks_of(rows.span)
 
 
@@ -279,9 +283,9 @@ def axes_missing(turn_axes: Sequence[str], unit: str, cross_axis_prior: float) -
 # ---- false dwells: a rate stated with a wrong sign, value or axis
 #
 # One such dwell moves a least-squares fit, and an offset that may drift follows it. So before, each sensor is fitted by Huber's
-# weights, s = K w + b, with rests + H a and a separate b per recording. Dwell i reads e_i = K^-1 (s_i - s) beyond its rate. It is
-# refused if |e_i| is beyond 8 times the typical |e|, the median over the dwells minus one for every parameter that the fit
-# makes exact, and beyond 2 % of the largest rate. The curvature of a sound sensor and the ripple of a table are smaller.
+# weights, s = K w + b, with a separate b per recording. Dwell i reads e_i = K^-1 (s_i - s) beyond its rate. It is refused if |e_i|
+# is beyond 8 times the typical |e|, the median over the rows minus one for every parameter that the fit makes exact, and beyond
+# 2 % of the largest rate. The curvature of a sound sensor, its g-sensitivity, and the ripple of a table are smaller.
 
 SCATTERS = 8.0  # times the typical error, beyond the tails of noise, wobble or drift in a few tens of dwells
 SHARE = 0.02  # relative to the largest rate
@@ -293,48 +297,38 @@ def check_dwells(
     rates: FloatArray,
     *,
     rests: RestMeans | None = None,
-    numbers: tuple[int, ...] | None = None,
+    numbers: Sequence[int] = (),
     recordings: Sequence[int] = (),
 ) -> None:
     """Raise if the reading of a dwell contradicts all the others at rates (N, 3), rad/s.
 
-    Each recording with rests has its own offset, unless the recordings contain only a dwell or two each.
+    ``numbers`` and ``recordings`` (N,) are the turn and the recording of each dwell.
     """
     rows, count = _rows(dwells, rates, rests), len(rates)
-    group = np.zeros(len(rows.rate))
-    if rests is not None and recordings:
-        rested = [still.recording for still in rests.stills]
-        group = np.concatenate((np.where(np.isin(recordings, rested), recordings, -1), rested))
-    offsets = group[:, None] == np.unique(group)
-    if 2 * (3 + offsets.shape[1]) > len(group):  # a recording for each dwell: its rows would fit exactly
-        offsets = np.ones((len(group), 1), dtype=np.bool_)
+    recording = np.array([*recordings, *(still.recording for still in (rests.stills if rests else ()))])
+    offsets = recording[:, None] == np.unique(recording)
+    if len(recording) != len(rows.rate) or 2 * (3 + offsets.shape[1]) > len(recording):  # or nothing would be spare
+        offsets = np.ones((len(rows.rate), 1), dtype=np.bool_)
     design = np.column_stack((rows.rate, offsets))
-    if rows.force is not None:
-        full = np.hstack((design, rows.force))
-        if len(full) - full.shape[1] >= LEAST_SPARE and scaled_condition(full)[0] == full.shape[1]:
-            design = full
     if len(design) - design.shape[1] < LEAST_SPARE or np.linalg.matrix_rank(design) < design.shape[1]:
         return
     theta = np.array([fit_huber(design, column)[0] for column in rows.reading.T])
     if abs(np.linalg.det(theta[:, :3])) < 1e-6 * np.prod(np.linalg.norm(theta[:, :3], axis=1)):
         return  # two columns have the same readings, which the fit itself reports
     residual_rate = (rows.reading - design @ theta.T) @ np.linalg.inv(theta[:, :3]).T
-    error, size = np.linalg.norm(residual_rate, axis=1), np.linalg.norm(rates, axis=1)
+    error = np.linalg.norm(residual_rate, axis=1)
     typical = float(np.median(np.sort(error)[design.shape[1] :]))
-    # the error from a wobble of the table is proportional to its rate
-    with_rate = np.median(error[:count] / np.maximum(size, 1e-300)) * size
-    limits = np.maximum(SCATTERS * np.maximum(typical, with_rate), SHARE * float(np.abs(rates).max()))
-    wrong = np.flatnonzero(error[:count] > limits)
+    limit = max(SCATTERS * typical, SHARE * float(np.abs(rates).max()))
+    wrong = np.flatnonzero(error[:count] > limit)
     if len(wrong):
-        numbers = tuple(range(1, count + 1)) if numbers is None else numbers
-        read = (rates + residual_rate[:count]) / RADIAN_PER_DEGREE
+        numbers, read = numbers or range(1, count + 1), (rates + residual_rate[:count]) / RADIAN_PER_DEGREE
         contradictions = "; ".join(
             f"turn {numbers[k]}, {dwells.axis[k]} at {dwells.turn_rate[k] / RADIAN_PER_DEGREE:+.4g} deg/s: reads as "
             f"({', '.join(f'{value:+.4g}' for value in read[k])})"
             for k in wrong[:3]
         )
         raise Implausible(
-            f"rate table: {len(wrong)} dwells contradict the others by more than {limits[wrong[0]] / RADIAN_PER_DEGREE:.2g} deg/s: "
+            f"rate table: {len(wrong)} dwells contradict the others by more than {limit / RADIAN_PER_DEGREE:.2g} deg/s: "
             f"{contradictions}. Check their sign, value, axis and times, or leave them out.",
             turns=tuple(numbers[k] for k in wrong),
         )
@@ -359,9 +353,13 @@ def calibrate_rates(observed: Observed, mode: str | None, accel: TriadFit | None
         settle_s=settings.settle_s,
     )
     dwells, rests = replace(dwells, axes=axes), _rest_means(observed, turns, dwells, model)
-    numbers = tuple(k for k, turn in enumerate(session.turns, 1) if turn in turns)
-    imposed, recordings = imposed_rates(dwells, settings.latitude_deg), [turn.recording for turn in turns]
-    check_dwells(dwells, imposed, rests=rests, numbers=numbers, recordings=recordings)
+    check_dwells(
+        dwells,
+        imposed_rates(dwells, settings.latitude_deg),
+        rests=rests,
+        numbers=[k for k, turn in enumerate(session.turns, 1) if turn in turns],
+        recordings=[turn.recording for turn in turns],
+    )
     turn_axes = tuple(axis for axis in AXES if axis in dwells.axis)
     paper = mode == "paper" and len(turn_axes) == 3
     pieces: list[Still | Turn] = [*turns, *(() if rests is None or paper else rests.stills)]
@@ -408,7 +406,9 @@ def _rest_means(
     if noise is None:
         return None
     if accel is None:
-        force = _force_from_labels(rests, turning, dwells) * observed.session.gravity_m_s2
+        faces = [rest.face for rest in rests if rest.face is not None]
+        up = np.vstack((axis_vectors(dwells.axis) * dwells.up[:, None], face_vectors(faces)))
+        force = up * observed.session.gravity_m_s2
     else:
         mean_force = np.array([np.nanmean(stretch.accel, axis=0) for stretch in parts if stretch.accel is not None])
         force = (mean_force - accel.offset) @ accel.matrix.T
@@ -421,14 +421,3 @@ def _rest_means(
         felt=accel is not None,
         stills=tuple(rests),
     )
-
-
-def _force_from_labels(rests: Sequence[Still], turning: Sequence[Turn], dwells: DwellMeans) -> FloatArray:
-    """Return the direction that points up (N + P, 3): in dwells from the rests of their mounting, in rests from their face."""
-    faces = [f"{'-' if up < 0.0 else '+'}{axis}" for up, axis in zip(dwells.up, dwells.axis, strict=True)]
-    numbers = mountings([*turning, *rests]).tolist()
-    rest_faces = {number: rest.face for number, rest in zip(numbers[len(turning) :], rests, strict=True) if rest.face}
-    faces = [rest_faces.get(number, face) for number, face in zip(numbers[: len(turning)], faces, strict=True)]
-    faces += [rest.face for rest in rests if rest.face]
-    sign = np.array([-1.0 if face[0] == "-" else 1.0 for face in faces])
-    return np.asarray(axis_vectors([face[1] for face in faces]) * sign[:, None])

@@ -25,7 +25,7 @@ from undrift.units import EARTH_RATE, RADIAN_PER_DEGREE
 
 MOST_SETTLING = 0.5  # largest share of a dwell
 LEAST_SAMPLES = 8
-WHOLE_TURN = 0.99 * 2.0 * np.pi  # rad: over it a ripple averages out
+WHOLE_TURN = 0.01  # mean ripple of a dwell, as a share of its amplitude: below it the dwell contains whole turns
 FILTER_S = 0.3  # settling time of a second-order filter at 11 Hz to 1e-6, which gravity means omit at a dwell's start
 MOST_BLOCKS = 12  # means of the specific force in one dwell
 MIN_TILT_SD = 1e-6  # rad, of block means of the direction of gravity: sound arithmetic
@@ -39,9 +39,9 @@ class TableAxes:
 
     direction: FloatArray  # (N, 3), axis of each dwell
     columns: FloatArray  # (N, 3, C), errors of ``direction`` from C independent causes, one standard deviation each
-    ripple: FloatArray  # (N, R), relative change of the rate by R independent ripples of unit amplitude
+    ripple: FloatArray  # (N, N), covariance of the relative rates by a ripple of unit amplitude
     rate: float  # relative standard uncertainty common to all given rates
-    wobble: FloatArray  # (N,), given standard uncertainty of the axis from dwell to dwell, rad, or 0 if gravity measured the axis
+    wobble: float  # standard uncertainty of the axis from dwell to dwell, rad
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -170,15 +170,15 @@ def imposed_rates(dwells: DwellMeans, latitude_deg: float | None) -> FloatArray:
 
 # ---- axis of the table in the case, from gravity as the accelerometers measure it
 #
-# In a mounting, axis k of the case is along the axis of the table. During dwell i the device turns about k + d + e_i: d is
-# small, across k and common to the mounting, e_i is the wobble of the dwell. The axis of the table leaves the vertical by l + e'_i,
-# and the accelerometers are at a distance r from it. Block means of the specific force across k, at the rate w_i and azimuth psi:
+# In a mounting, axis k of the case is along the axis of the table, which leaves the vertical by l. The device turns about k + d:
+# d is small, across k, and common to the mounting. The accelerometers are at a distance r from the axis, and e_i and e'_i are the
+# wobble of dwell i. Block means of the specific force across k, at the rate w_i and azimuth psi:
 #
-#     f / g = d + e_i + R_k(-psi) (l + e'_i) - r w_i^2 / g
+#     f / g = d + e_i + R_k(-psi) (l + e'_i) - r w_i^2 / g + noise
 #
-# The fit uses their priors, and a separate l for each recording. Noise and wobble have excess variances. psi is the
-# integral of the gyroscope of axis k. The errors of the accelerometers are common to all mountings: df = dM s - M do. Without
-# accelerometers d and e_i are zero, with the stated uncertainties of mounting and wobble.
+# d, r, and l of each recording have priors. Noise and wobble have excess variances. psi is the integral of the gyroscope of axis k.
+# The errors of the accelerometers are common to all mountings: df = dM s - M do. Without accelerometers d is zero, with the stated
+# uncertainty of the mounting.
 
 
 def mountings(pieces: Sequence[Still | Turn]) -> IntArray:
@@ -225,56 +225,45 @@ def table_axes(
     ``turns`` (N,) and ``mounting`` (N,) describe the turn and the mounting of each dwell.
     """
     axis, count = np.array([AXES.index(name) for name in dwells.axis], int), len(dwells.axis)
-    up = np.broadcast_to(dwells.up, count)
-    stretches = [(turn.recording, int(number)) for turn, number in zip(turns, mounting, strict=True)]
-    azimuths = _azimuths(records, turns, stretches, dwells)
-    direction: FloatArray = np.eye(3)[axis]
-    accel_slopes: FloatArray = np.zeros((count, 3, 12))
-    wobble = np.full(count, table.wobble_deg * RADIAN_PER_DEGREE)
-    columns = list[FloatArray]()
-    for number in sorted(set(mounting.tolist())):
-        rows: list[int] = np.flatnonzero(mounting == number).tolist()
+    up, direction, columns = np.broadcast_to(dwells.up, count), np.eye(3)[axis], list[FloatArray]()
+    azimuths, accel_columns = _azimuths(records, turns, mounting, dwells), np.zeros((count, 3, 12))
+    for number in np.unique(mounting):
+        rows = np.flatnonzero(mounting == number)
         k, gravity = int(axis[rows[0]]), float(gravity_m_s2 * up[rows].mean())
         level_axes = [(k + 1) % 3, (k + 2) % 3]
-        root: FloatArray = np.tile(table.mount_tilt_deg * RADIAN_PER_DEGREE * np.eye(2), (len(rows), 1, 1))
+        place, root = np.ix_(rows, level_axes), table.mount_tilt_deg * RADIAN_PER_DEGREE * np.eye(2)
         if accel is not None and abs(gravity) == gravity_m_s2:
-            forces = [
-                _force_in_dwell(records[turns[n].recording], turns[n], azimuths[n], accel, settle_s) for n in rows
+            parts = [
+                _force_in_dwell(records[turns[n].recording], turns[n], azimuths[n], accel, level_axes, settle_s)
+                for n in rows
             ]
-            parts: list[FloatArray] = [
-                dwell_rows[:, [0, 1, 2 + level_axes[0], 2 + level_axes[1]]] / np.array([1.0, 1.0, gravity, gravity])
-                for dwell_rows in forces
-            ]
-            if all(len(dwell_rows) for dwell_rows in parts):
-                tilt, root = _tilt_by_gravity(
-                    parts, dwells.turn_rate[rows], [turns[n].recording for n in rows], table, gravity
-                )
-                direction[np.ix_(rows, level_axes)], wobble[rows] = tilt, 0.0
+            if all(len(part) for part in parts):
+                recordings = [turns[n].recording for n in rows]
+                tilt, covariance = _tilt_by_gravity(parts, dwells.turn_rate[rows], recordings, table, gravity)
                 readings = [np.asarray(record.accel) for record in records]
                 windows = [readings[turns[n].recording][turns[n].start : turns[n].stop] for n in rows]
                 # all dwells measure the same gravity, with the same rounding error
                 codes = accel.matrix[level_axes] / gravity * np.nan_to_num(mean_rounding(readings, windows))
-                root = np.concatenate((root, np.broadcast_to(codes, (len(rows), 2, 3))), axis=2)
+                direction[place], root = tilt, np.hstack((np.linalg.cholesky(covariance), codes))
                 reading = np.linalg.solve(accel.matrix, np.eye(3)[k])  # in g, minus the offset
-                accel_slopes[np.ix_(rows, level_axes)] = np.hstack(
-                    (np.kron(np.eye(3), reading), -accel.matrix / gravity)
-                )[level_axes]
-        columns.append(np.zeros((count, 3, root.shape[2])))
-        columns[-1][np.ix_(rows, level_axes)] = root
+                slopes = np.hstack((np.kron(np.eye(3), reading), -accel.matrix / gravity))
+                accel_columns[place] = slopes[level_axes]
+        columns.append(np.zeros((count, 3, root.shape[1])))
+        columns[-1][place] = root
     if accel is not None:
         variance, vectors = np.linalg.eigh(accel.covariance[:12, :12])
-        columns.append(accel_slopes @ (vectors * np.sqrt(variance.clip(0.0))))
+        columns.append(accel_columns @ (vectors * np.sqrt(variance.clip(0.0))))
     return TableAxes(
         direction=direction / np.linalg.norm(direction, axis=1)[:, None],
         columns=np.concatenate(columns, axis=2),
-        ripple=_ripples(records, turns, stretches, azimuths, settle_s),
+        ripple=_ripple(records, turns, mounting, azimuths, settle_s),
         rate=table.rate_uncertainty,
-        wobble=wobble,
+        wobble=table.wobble_deg * RADIAN_PER_DEGREE,
     )
 
 
 def _azimuths(
-    records: Sequence[Record], turns: Sequence[Turn], stretches: list[tuple[int, int]], dwells: DwellMeans
+    records: Sequence[Record], turns: Sequence[Turn], mounting: IntArray, dwells: DwellMeans
 ) -> list[FloatArray]:
     """Return the angle of the table at the samples of each dwell's recording, or NaN if the gyroscope cannot measure it.
 
@@ -283,97 +272,73 @@ def _azimuths(
     from scipy.integrate import cumulative_trapezoid
 
     azimuths = [np.full(len(records[turn.recording]), np.nan) for turn in turns]
+    stretches = [(turn.recording, int(number)) for turn, number in zip(turns, mounting, strict=True)]
     for stretch in set(stretches):
         rows = [n for n, other in enumerate(stretches) if other == stretch]
         record, axis = records[stretch[0]], dwells.axis[rows[0]]
         about = [n for n, other in enumerate(dwells.axis) if other == axis]
-        if record.gyro is None or len(np.unique(dwells.turn_rate[about])) < 2:
+        if len(np.unique(dwells.turn_rate[about])) < 2:
             continue
         k, span = AXES.index(axis), slice(min(turns[n].start for n in rows), max(turns[n].stop for n in rows))
         scale, offset = np.polyfit(dwells.turn_rate[about], dwells.reading[about, k], 1)
-        angle = cumulative_trapezoid((record.gyro[span, k] - offset) / scale, record.time[span], initial=0)
+        rate = (np.asarray(record.gyro)[span, k] - offset) / scale
         for n in rows:
-            azimuths[n][span] = angle
+            azimuths[n][span] = cumulative_trapezoid(rate, record.time[span], initial=0)
     return azimuths
 
 
-def _ripples(
-    records: Sequence[Record],
-    turns: Sequence[Turn],
-    stretches: list[tuple[int, int]],
-    azimuths: list[FloatArray],
-    settle_s: float,
+def _ripple(
+    records: Sequence[Record], turns: Sequence[Turn], mounting: IntArray, azimuths: list[FloatArray], settle_s: float
 ) -> FloatArray:
-    """Return the mean cosine and sine of the table's azimuth in each dwell (N, R), for each stretch with a known azimuth.
+    """Return the covariance of the relative rates if the rate ripples by a cos psi + b sin psi, with a and b of variance 1.
 
-    The rate ripples once per turn, by a cos psi + b sin psi, which averages out over whole turns. Shorter dwells of a mounting
-    start where the previous dwell ended, and share the error.
+    The ripple averages out over whole turns. Dwells of a mounting in one recording share a and b.
     """
-    columns = np.zeros((len(turns), 0))
-    for stretch in sorted(set(stretches)):
-        pair = np.zeros((len(turns), 2))
-        for n, turn in enumerate(turns):
-            psi = azimuths[n][steady(records[turn.recording], turn, settle_s)]
-            if stretches[n] == stretch and np.ptp(psi) < WHOLE_TURN:
-                pair[n] = np.cos(psi).mean(), np.sin(psi).mean()
-        columns = np.hstack((columns, pair))
-    return columns
+    windows = [steady(records[turn.recording], turn, settle_s) for turn in turns]
+    mean = np.array([np.exp(1j * azimuth[w]).mean() for azimuth, w in zip(azimuths, windows, strict=True)])
+    mean = np.where(np.abs(mean) < WHOLE_TURN, 0.0, np.nan_to_num(mean))
+    recording = np.array([turn.recording for turn in turns])
+    shared = (mounting[:, None] == mounting) & (recording[:, None] == recording)
+    return np.asarray(np.where(shared, np.outer(mean, mean.conj()).real, 0.0))
 
 
-def _force_in_dwell(record: Record, turn: Turn, azimuth: FloatArray, accel: TriadModel, settle_s: float) -> FloatArray:
-    """Return block means (B, 5) of cosine and sine of the azimuth and of the specific force, m/s2, without blocks with gaps."""
+def _force_in_dwell(
+    record: Record, turn: Turn, azimuth: FloatArray, accel: TriadModel, level_axes: list[int], settle_s: float
+) -> FloatArray:
+    """Return block means (B, 4) of cosine and sine of the azimuth and of the force across the axis, without blocks with gaps."""
     if record.accel is None:
-        return np.empty((0, 5))
+        return np.empty((0, 4))
     window = steady(record, turn, min(settle_s, FILTER_S))
-    force = (record.accel[window] - accel.offset) @ accel.matrix.T
-    parts = np.column_stack((np.cos(azimuth[window]), np.sin(azimuth[window]), force))
-    size = max(block_size(record.sample_rate_hz), len(parts) // MOST_BLOCKS)
-    means = parts[: len(parts) // size * size].reshape(-1, size, 5).mean(axis=1)
+    force = (record.accel[window] - accel.offset) @ accel.matrix[level_axes].T
+    values = np.column_stack((np.cos(azimuth[window]), np.sin(azimuth[window]), force))
+    size = max(block_size(record.sample_rate_hz), len(values) // MOST_BLOCKS)
+    means = values[: len(values) // size * size].reshape(-1, size, 4).mean(axis=1)
     return np.asarray(means[~np.isnan(means).any(axis=1)])
 
 
 def _tilt_by_gravity(
     parts: list[FloatArray], turn_rate: FloatArray, recordings: list[int], table: RateTable, gravity: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return d + e_i (R, 2) of the dwells of a mounting, and a root of their covariance (R, 2, 2 R).
+    """Return d (2,) of a mounting and its covariance (2, 2), from the blocks of each dwell."""
+    from scipy.linalg import block_diag
 
-    ``parts`` (B, 4) contain the blocks of each dwell: cosine and sine of the azimuth, and f / g.
-    """
-    count, levels, designs = len(parts), sorted(set(recordings)), list[FloatArray]()
-    common = 4 + 2 * len(levels)  # parameters d, r, and l of each recording, followed by e_i and e'_i of each dwell
-    for n, (dwell_rows, rate, recording) in enumerate(zip(parts, turn_rate, recordings, strict=True)):
-        level_rows = np.stack((dwell_rows[:, [0, 1]], dwell_rows[:, [1, 0]] * [-1.0, 1.0]), axis=1)  # R_k(-psi)
-        level_column, wobble_column = 4 + 2 * levels.index(recording), common + 4 * n
-        design = np.zeros((len(dwell_rows), 2, common + 4 * count))
-        design[:, :, :2] = design[:, :, wobble_column : wobble_column + 2] = np.eye(2)
-        design[:, :, 2:4] = rate**2 / gravity * np.eye(2)
-        design[:, :, level_column : level_column + 2] = level_rows
-        design[:, :, wobble_column + 2 : wobble_column + 4] = level_rows
-        designs.append(design.reshape(2 * len(dwell_rows), -1))
-    level, wobble_sigma = (
-        max(table.table_level_deg * RADIAN_PER_DEGREE, MIN_TILT_SD),
-        table.wobble_deg * RADIAN_PER_DEGREE,
-    )
-    sizes = np.repeat([TABLE_MOUNTING, TABLE_ARM, level], [2, 2, 2 * len(levels)])
-    design, force = np.vstack(designs), np.concatenate([dwell_rows[:, 2:].ravel() for dwell_rows in parts])
-    noise, wobbles = np.full(len(force), MIN_TILT_SD**2), design[:, common:] @ design[:, common:].T
-    scatter = solve(
-        design[:, :common],
+    levels, designs, wobbles = sorted(set(recordings)), list[FloatArray](), list[FloatArray]()
+    for part, rate, recording in zip(parts, turn_rate, recordings, strict=True):
+        turned = np.stack((part[:, [0, 1]], part[:, [1, 0]] * [-1.0, 1.0]), axis=1)  # R_k(-psi)
+        ones = np.tile(np.eye(2), (len(part), 1, 1))
+        level = [turned * (recording == other) for other in levels]
+        designs.append(np.concatenate((ones, rate**2 / gravity * ones, *level), axis=2).reshape(2 * len(part), -1))
+        wobble = np.concatenate((ones, turned), axis=2).reshape(-1, 4)
+        wobbles.append(wobble @ wobble.T)
+    force = np.concatenate([part[:, 2:].ravel() for part in parts]) / gravity
+    level_sd = max(table.table_level_deg * RADIAN_PER_DEGREE, MIN_TILT_SD)
+    sizes = np.repeat([TABLE_MOUNTING, TABLE_ARM, level_sd], [2, 2, 2 * len(levels)])
+    shape = block_diag(*wobbles)
+    fit = solve(
+        np.vstack(designs),
         force,
-        {"noise": noise, "wobble": wobble_sigma**2 * wobbles},
-        excess={"noise": np.ones(len(force)), "wobble": wobbles},
-        prior=Prior(mean=np.zeros(common), precision=np.diag(sizes**-2)),
+        {"noise": np.full(len(force), MIN_TILT_SD**2), "wobble": (table.wobble_deg * RADIAN_PER_DEGREE) ** 2 * shape},
+        excess={"noise": np.ones(len(force)), "wobble": shape},
+        prior=Prior(mean=np.zeros(len(sizes)), precision=np.diag(sizes**-2)),
     )
-    # the same rows, with the wobble of each dwell among the parameters
-    wobble_sd = max(wobble_sigma**2 + scatter.excess_bound("wobble"), MIN_TILT_SD**2) ** 0.5
-    sizes = np.concatenate((sizes, np.full(4 * count, wobble_sd)))
-    prior = Prior(mean=np.zeros(len(sizes)), precision=np.diag(sizes**-2))
-    fit = solve(design, force, {"noise": noise + scatter.excess_bound("noise")}, prior=prior)
-    axis_rows = np.zeros((count, 2, len(sizes)))  # d + e_i
-    for n in range(count):
-        axis_rows[n, :, :2] = axis_rows[n, :, common + 4 * n : common + 4 * n + 2] = np.eye(2)
-    flat_rows = axis_rows.reshape(2 * count, -1)
-    flicker = (ACCEL_FLICKER / gravity) ** 2 * np.eye(2 * count)
-    return axis_rows @ fit.theta, np.linalg.cholesky(flat_rows @ fit.covariance @ flat_rows.T + flicker).reshape(
-        count, 2, -1
-    )
+    return fit.theta[:2], fit.covariance[:2, :2] + (ACCEL_FLICKER / gravity) ** 2 * np.eye(2)

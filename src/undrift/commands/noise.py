@@ -67,7 +67,7 @@ class Noise(Result):
                 cells.append(
                     (f"angle after {ANSWERED_S:.0f} s (deg)", lambda axis: f"{angle_after(axis)['angle']:.2g}")
                 )
-            title = f"{name}, in brackets the {100.0 * fit.confidence:g} % intervals"
+            title = f"{name}, in brackets the 95 % intervals"
             sections.append(
                 table_section(title, axes, cells, text=tuple(_usual_units(axes, names)), pictures=(drawing,))
             )
@@ -186,7 +186,6 @@ def _data(fit: "NoiseFit") -> dict[str, object]:
         "units": {"gyro": fit.gyro_unit, "accel": fit.accel_unit},
         "taus_s": taus_s,
         "duration_s": fit.duration_s,
-        "confidence": fit.confidence,
     }
 
 

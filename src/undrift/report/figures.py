@@ -498,7 +498,7 @@ def draw_allan(fit: "NoiseFit", *, title: str = "Overlapping Allan deviation") -
             panel.plot(taus_s, np.sqrt(sum(axis.terms(taus_s).values())), **axis_style(k), linewidth=0.9)
         panel.set(xscale="log", yscale="log", ylabel=f"Allan deviation ({getattr(fit, f'{name}_unit')})")
         legend_above(panel)
-    entitle(figure, f"{title}, lines: fitted model, band: {100.0 * fit.confidence:g} %")
+    entitle(figure, f"{title}, lines: fitted model, band: 95 %")
     panels[-1].set_xlabel("averaging time (s)")
     return figure
 
