@@ -7,7 +7,7 @@ import pytest
 
 from testkit.walking import perfect_calibration
 from undrift import errors
-from undrift.calibration.reference import ReferenceSettings
+from undrift.calibration.reference import fit_reference
 from undrift.correction.correct import Corrector, correct
 from undrift.drift.fit import DriftSettings
 from undrift.orientation import OrientSettings
@@ -48,7 +48,7 @@ def test_an_error_travels_between_processes():
         (lambda: OrientSettings(method="madgwick"), "method"),
         (lambda: OrientSettings(forward="x"), "forward"),
         (lambda: TrialSettings(offset="whatever"), "offset"),
-        (lambda: ReferenceSettings(mounting="twice"), "mounting"),
+        (lambda: fit_reference([], [], mounting="twice"), "mounting"),
         (lambda: DriftSettings(tables="all"), "tables"),
         (lambda: correct(STILL, CALIBRATION, policy="whatever"), "policy"),
         (lambda: correct(STILL, CALIBRATION, offset="whatever"), "offset"),

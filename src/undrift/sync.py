@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from undrift.arrays import BoolArray, FloatArray, IntArray, runs, window_sums
 from undrift.errors import AlignmentError, InputError
@@ -94,7 +93,6 @@ class RunningIntegral:
 # and readings u over common cells, tr(C' V^-1 C) / tr(W), with the covariances C of u and w, V of u, W of w. It is equal for
 # all mountings. All sums over cells, with masks for gaps, are correlations. A Fourier transform computes them for all shifts.
 
-Spectrum = NDArray[np.complex128]
 CELL_S = 0.02  # s
 LEAST_OVERLAP, LEAST_CELLS = 0.3, 10.0  # share of the shorter side, and number of cells
 STILL = 1e-9  # relative to the largest variance: a side that does not turn
@@ -108,35 +106,30 @@ def coarse_lag(time: FloatArray, gyro: FloatArray, rates: PoseRates, longest_lag
     count = int((max(time[-1], middle[-1]) - start) / width) + 1
     reach = min(int(longest_lag_s / width) + 1, count - 1)
     size = 1 << (2 * count - 1).bit_length()
-    (u, uu, m), (w, ww, n) = (
-        _spectra(np.floor((t[valid] - start) / width).astype(np.int64), values[valid], count, size)
+    (u, m), (w, n) = (
+        _cell_means(np.floor((t[valid] - start) / width).astype(np.int64), values[valid], count)
         for t, values, valid in ((time, gyro, np.isfinite(gyro).all(axis=1)), (middle, rates.rate, rates.valid))
     )
 
-    def summed(first: Spectrum, second: Spectrum) -> FloatArray:
+    def summed(first: FloatArray, second: FloatArray) -> FloatArray:
         """Return sums over cells, (shifts, ...): cell k + s of the record meets cell k of the reference."""
-        correlation = np.fft.irfft(first * np.conj(second), size, axis=-1)
-        return np.moveaxis(
-            np.concatenate((correlation[..., size - reach :], correlation[..., : reach + 1]), axis=-1), -1, 0
-        )
+        spectrum = np.fft.rfft(first, size, axis=0) * np.conj(np.fft.rfft(second, size, axis=0))
+        correlation = np.fft.irfft(spectrum, size, axis=0)
+        return np.concatenate((correlation[size - reach :], correlation[: reach + 1]))
 
-    overlap = np.round(summed(m, n))
-    if not (enough := overlap >= max(LEAST_OVERLAP * min(m[0].real, n[0].real), LEAST_CELLS)).any():
+    overlap = np.round(summed(m, n))[:, 0]
+    enough = overlap >= max(LEAST_OVERLAP * min(m.sum(), n.sum()), LEAST_CELLS)
+    if not enough.any():
         raise AlignmentError(
             f"lag: record and reference share less than {LEAST_OVERLAP:.0%} of the shorter one. They begin at {time[0]:.6g} and "
             f"{rates.start[0]:.6g} s: check their clocks, or widen `longest_lag_s`, {longest_lag_s:g} s."
         )
     cells = np.maximum(overlap, 1.0)[:, None]
     mean_u, mean_w = summed(u, n) / cells, summed(m, w) / cells  # (shifts, C)
-    v, square_w, c = (
-        sums / cells[:, :, None] - first[:, :, None] * second[:, None]
-        for sums, first, second in (
-            (summed(uu, n), mean_u, mean_u),
-            (summed(m, ww), mean_w, mean_w),
-            (summed(u[:, None], w), mean_u, mean_w),
-        )
-    )
-    turn_u, turn_w = (np.trace(covariance, axis1=1, axis2=2) for covariance in (v, square_w))
+    v = summed(u[:, :, None] * u[:, None], n[:, :, None]) / cells[:, :, None] - mean_u[:, :, None] * mean_u[:, None]
+    c = summed(u[:, :, None], w[:, None]) / cells[:, :, None] - mean_u[:, :, None] * mean_w[:, None]
+    turn_u = np.trace(v, axis1=1, axis2=2)
+    turn_w = (summed(m, w**2) / cells - mean_w**2).sum(axis=1)
     turns = enough & (turn_u > STILL * turn_u.max()) & (turn_w > STILL * turn_w.max())
     if not turns.any():
         raise AlignmentError(
@@ -147,14 +140,13 @@ def coarse_lag(time: FloatArray, gyro: FloatArray, rates: PoseRates, longest_lag
     return float((int(np.argmax(explained * overlap)) - reach) * width)
 
 
-def _spectra(cell: IntArray, values: FloatArray, count: int, size: int) -> tuple[Spectrum, Spectrum, Spectrum]:
-    """Return the spectra of cell means about their mean, (C, F), of their products, (C, C, F), and of the mask, (F,)."""
-    weight = np.bincount(cell, minlength=count).astype(float)
-    mask = (weight > 0.0).astype(float)
-    means = np.stack([np.bincount(cell, weights=v, minlength=count) for v in values.T]) / np.maximum(weight, 1.0)
-    means -= (means.sum(axis=1, keepdims=True) / max(mask.sum(), 1.0)) * mask
-    u, uu, m = (np.fft.rfft(series, size, axis=-1) for series in (means, means[:, None] * means, mask))
-    return u, uu, m
+def _cell_means(cell: IntArray, values: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+    """Return the cell means about their mean, (cells, C), zero in empty cells, and a mask of the others, (cells, 1)."""
+    weight = np.bincount(cell, minlength=count)[:, None]
+    mask = (weight > 0).astype(float)
+    sums = np.column_stack([np.bincount(cell, weights=column, minlength=count) for column in values.T])
+    means = sums / np.maximum(weight, 1)
+    return means - means.sum(axis=0) / max(mask.sum(), 1.0) * mask, mask
 
 
 # ---- poses as the instrument took them: undo a linear up-sampling of the reference
@@ -460,19 +452,15 @@ class MotionSpan:
 
 def find_motion(record: Record, reference: Reference, *, lag_s: float = 0.0) -> MotionSpan:
     """Find the stretch of motion between the first and the last rest, or without a first rest the common stretch of motion."""
-    valid_time, begins = (
-        reference.time[reference.valid] + lag_s,
-        max(float(record.time[0]), float(reference.time[0]) + lag_s),
-    )
+    valid_time = reference.time[reference.valid] + lag_s
     first, last = max(float(record.time[0]), float(valid_time[0])), min(float(record.time[-1]), float(valid_time[-1]))
+    begins = max(float(record.time[0]), float(reference.time[0]) + lag_s)
     marked = reference.time[:0] if reference.moving is None else reference.time[reference.moving > 0.0] + lag_s
-    if len(marked):
-        span: tuple[float, float] | None = (
-            float(marked[0]),
-            float(marked[-1]) + float(np.median(np.diff(reference.time))),
-        )
-    else:
-        span = _motion_between_stills(record)
+    span = (
+        (float(marked[0]), float(marked[-1]) + float(np.median(np.diff(reference.time))))
+        if len(marked)
+        else _motion_between_stills(record)
+    )
     if span is not None and span[0] - begins >= LEAST_REST_S:
         return MotionSpan(start_s=span[0], stop_s=span[1], rested=True)
     start, stop = (first, last) if span is None else (max(first, span[0]), min(last, span[1]))

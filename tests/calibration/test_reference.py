@@ -12,8 +12,9 @@ from undrift.calibration import reference as reference_module
 from undrift.calibration.codes import restored_gyro
 from undrift.calibration.reference import (
     CODE_PRIOR,
-    ReferenceSettings,
     _first_matrix,
+    align,
+    fit_aligned,
     fit_reference,
     leave_one_out,
 )
@@ -33,6 +34,11 @@ CHANGE = np.array([5e-4, -3e-4, 4e-4])
 def recordings(seeds, device, **motion):
     pairs = [make_recording(np.random.default_rng(seed), device, **motion) for seed in seeds]
     return [p[0] for p in pairs], [p[1] for p in pairs]
+
+
+def fit_throughout(records, references):
+    """Fit with an offset that applies from the first to the last rest."""
+    return fit_aligned([align(*pair) for pair in zip(records, references, strict=True)], "each", turning=False)
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +74,7 @@ def test_a_recording_gets_its_own_rest_offset(exact):
     fit = fit_reference(*exact)
     model = fit.model_at_rest_offset(np.array([0.1, 0.2, 0.3]))
     assert np.allclose(model.offset, [0.1, 0.2, 0.3])
-    throughout = fit_reference(*exact, settings=ReferenceSettings(turning=False))
+    throughout = fit_throughout(*exact)
     assert throughout.triad.model.moving_offset is None
     assert np.allclose(throughout.model_at_rest_offset(REST).offset, REST + CHANGE, atol=3e-5)
 
@@ -91,13 +97,14 @@ def test_parameters_scatter_by_their_stated_uncertainty():
 
 
 @pytest.mark.slow
-def test_longer_windows_make_pose_noise_matter_less():
+def test_longer_windows_make_pose_noise_matter_less(monkeypatch):
     # Noise of poses alone makes 7e-6 rad/s of offset with windows of 2 s, 3e-6 with 16 s; noise of readings of 2e-4 rad/s 1e-6.
     # One mounting: a rotation for each recording of one minute takes a quarter of the few windows of 16 s.
     quiet = Device(forward=FORWARD, offset=REST, motion_offset=CHANGE, lag_s=0.0041, noise=2e-4)
     pairs = recordings((11, 12, 13), quiet, optics_noise=1e-3)
-    short = fit_reference(*pairs, settings=ReferenceSettings(longest_window_s=2.0, mounting="one"))
-    long = fit_reference(*pairs, settings=ReferenceSettings(mounting="one"))
+    long = fit_reference(*pairs, mounting="one")
+    monkeypatch.setattr(reference_module, "WINDOWS_S", (2.0, 2.0, 2.0))
+    short = fit_reference(*pairs, mounting="one")
     error = [np.abs(f.triad.model.matrix - np.linalg.inv(FORWARD)).max() for f in (short, long)]
     assert max(error) < 1e-3
     assert long.window_s == 16.0
@@ -222,11 +229,6 @@ def test_rounding_is_undone_before_the_fit():
     assert error[1] < 0.5 * error[0]
 
 
-def test_settings_that_cannot_be_are_refused():
-    with pytest.raises(InputError, match="2 s or more"):
-        ReferenceSettings(longest_window_s=1.0)
-
-
 def test_calls_that_cannot_be_are_refused(exact):
     records, references = exact
     with pytest.raises(InputError, match="needs one reference"):
@@ -274,7 +276,7 @@ def test_another_mounting_in_one_recording_is_an_alignment_error(exact):
     turn = Rotation.from_euler("z", 20.0, degrees=True)
     turned = replace(records[1], gyro=turn.apply(np.array(records[1].gyro)))
     with pytest.raises(AlignmentError, match="differ by"):
-        fit_reference([records[0], turned], references, settings=ReferenceSettings(mounting="one"))
+        fit_reference([records[0], turned], references, mounting="one")
     device = Device(forward=FORWARD, offset=REST, motion_offset=CHANGE, lag_s=0.0041)
     other = recordings((2,), device, mounting=turn)
     fit = fit_reference([records[0], *other[0]], [references[0], *other[1]])  # in the mean of both bodies
@@ -299,7 +301,7 @@ def two_mountings():
 def test_two_mountings_are_each_fitted_and_pooling_them_is_worse(two_mountings):
     # The device apart from its rotation: lengths and angles of the columns of M, the same in every mounting.
     true = np.linalg.inv(FORWARD)
-    each, one = (fit_reference(*two_mountings, settings=ReferenceSettings(mounting=m)) for m in ("each", "one"))
+    each, one = (fit_reference(*two_mountings, mounting=m) for m in ("each", "one"))
     shape = [np.abs(f.triad.model.matrix.T @ f.triad.model.matrix - true.T @ true).max() for f in (each, one)]
     turned = np.degrees(each.mountings)
     assert turned[2:].mean(axis=0) - turned[:2].mean(axis=0) == pytest.approx([0.0, 3.0, 0.0], abs=0.05)
@@ -358,7 +360,7 @@ def test_the_change_to_motion_acts_while_the_device_turns_alone():
     # Pauses of 4 s after each 6 s: half of what is within the motion is rest, where the offset is that of the rest.
     device = Device(forward=FORWARD, offset=REST, motion_offset=CHANGE, noise=3e-4)
     pairs = recordings((5, 6), device, pauses=True)
-    fit, throughout = (fit_reference(*pairs, settings=ReferenceSettings(turning=turning)) for turning in (True, False))
+    fit, throughout = fit_reference(*pairs), fit_throughout(*pairs)
     model = fit.triad.model
     true = np.linalg.inv(FORWARD) @ CHANGE
     # It is taken to last half a second beyond the turn, of 6 s

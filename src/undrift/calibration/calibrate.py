@@ -28,7 +28,7 @@ from undrift.calibration.moves import FEWEST_POSES, calibrate_moves, calibrate_p
 from undrift.calibration.plausibility import check_gyro_scale, missing_faces
 from undrift.calibration.quality import check_accel, mean_reading
 from undrift.calibration.rate_table import calibrate_rates
-from undrift.calibration.reference import ReferenceFit, ReferenceSettings, fit_reference
+from undrift.calibration.reference import ReferenceFit, fit_reference
 from undrift.calibration.reference_accel import fit_reference_accel, turned_like
 from undrift.calibration.session import Observed, Outcome, at_one_temperature, observe
 from undrift.calibration.settings import AccelFit, CalibrateSettings, GyroFit, Mode
@@ -41,7 +41,7 @@ from undrift.fit.priors import SCALE_FACTOR
 from undrift.fit.triad import TriadFit, triad_fit
 from undrift.kernels.attitude import filtered_attitude
 from undrift.model import AdcModel, Calibration, Provenance, TriadModel, Verdict, versions_used
-from undrift.record import FACES, Record, Reference, Session, Turn, check_local_gravity
+from undrift.record import FACES, Mounting, Record, Reference, Session, Turn, check_local_gravity
 from undrift.segments import unpadded
 from undrift.sync import LagSettings, padding
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
@@ -394,7 +394,7 @@ def calibrate_to_references(
     records: Sequence[Record],
     references: Sequence[Reference],
     *,
-    settings: ReferenceSettings = ReferenceSettings(),
+    mounting: Mounting = "each",
     lag_settings: LagSettings = LagSettings(),
     gravity_m_s2: float | None = None,
 ) -> Calibration:
@@ -406,8 +406,10 @@ def calibrate_to_references(
     ----------
     records, references : sequence of Record, sequence of Reference
         Raw recordings of one device, best with a rest of 3 s before the motion, and one reference per recording.
-    settings, lag_settings : ReferenceSettings, LagSettings
-        Settings of the fit, and of the search for the lag between the clocks.
+    mounting : str
+        "each" if the device was put on the reference body again for each recording, or "one".
+    lag_settings : LagSettings
+        Settings of the search for the lag between the clocks.
     gravity_m_s2 : float, optional
         Local gravity, m/s2. If None, standard gravity is assumed and the verdict reports it.
 
@@ -424,7 +426,7 @@ def calibrate_to_references(
     session = _build_session(records, gravity_m_s2)
     check_local_gravity(session.gravity_m_s2, "reference")
     adc = device_adc(records)
-    fit = fit_reference(records, references, settings=settings, adc=adc, lag_settings=lag_settings)
+    fit = fit_reference(records, references, mounting=mounting, adc=adc, lag_settings=lag_settings)
     verdict, accel = fit.triad.verdict, None
     if all(record.accel is not None for record in records):
         readings = [restored(record, adc) for record in records]
@@ -432,7 +434,7 @@ def calibrate_to_references(
         verdict = verdict.also(accel_verdict)
     if accel is not None and session.gravity_source == "standard":
         verdict = verdict.also(Verdict.of(_gravity_assumed(session.gravity_m_s2, "info")))
-    choices = {"gyro": "reference", "mounting": settings.mounting, "recordings": len(records)}
+    choices = {"gyro": "reference", "mounting": mounting, "recordings": len(records)}
     temp_c = _mean_temperature(records)
     return _build_calibration(session, choices, temp_c, gyro=fit.triad.model, accel=accel, adc=adc, verdict=verdict)
 

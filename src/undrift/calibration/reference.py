@@ -26,7 +26,7 @@ import undrift.sync as sync
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.plausibility import without_saturated
 from undrift.calibration.reference_windows import STRIDE_S, Recording, Solution, Windows, solve, window_equations
-from undrift.errors import AlignmentError, Implausible, InputError, NotObservable, check_choices
+from undrift.errors import AlignmentError, Implausible, InputError, NotObservable, check_choice
 from undrift.findings import Finding, finding
 from undrift.fit.triad import TriadFit
 from undrift.frames import quaternion_of, quaternion_product
@@ -35,25 +35,7 @@ from undrift.record import Mounting, Record, Reference
 from undrift.segments import find_still, find_turning, unpadded
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
-# ---- settings and results
-
-FIRST_WINDOW_S = 2.0  # error of raw readings over it stays below about 0.5 rad
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ReferenceSettings:
-    """Settings of a fit to a reference."""
-
-    longest_window_s: float = 16.0  # longer windows are less sensitive to poses, and more to an offset that wanders
-    turning: bool = True  # True: d acts while the device turns. False: d acts from the first to the last rest
-    mounting: Mounting = "each"  # "each": the device is put on the reference body again for each recording
-
-    def __post_init__(self) -> None:
-        check_choices(self, "reference")
-        if not self.longest_window_s >= FIRST_WINDOW_S:
-            raise InputError(
-                f"reference: `longest_window_s` must be {FIRST_WINDOW_S:g} s or more, got {self.longest_window_s:g} s."
-            )
+# ---- results
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -120,7 +102,7 @@ def align(record: Record, reference: Reference, lag_settings: sync.LagSettings =
     )
 
 
-def recording_of(aligned: Aligned, *, turning: bool) -> Recording:
+def recording_of(aligned: Aligned, *, turning: bool = True) -> Recording:
     """Return a recording with its mean at rest and the poses at the ends of windows."""
     gyro, time, span, poses, lag = aligned.gyro, aligned.record.time, aligned.span, aligned.reference, aligned.lag
     gap: BoolArray = np.asarray(np.isnan(gyro).any(axis=1))
@@ -184,7 +166,14 @@ MOVING_PRIOR, CODE_PRIOR = 0.05 * RADIAN_PER_DEGREE, 1.0 / 3.0
 MATRIX_DIFFERENCE = 0.05  # relative difference between the matrices of single recordings of the same device
 START_RIDGE = 1e-3  # weight of the nominal matrix at the start, as a share of the largest power of the rates
 USUAL_RESIDUAL = 5e-3  # rad, of a window, before the first solution
-REFINEMENTS = 2  # more solutions for the longest window
+WINDOWS_S = (
+    2.0,
+    4.0,
+    8.0,
+    16.0,
+    16.0,
+    16.0,
+)  # of the fits, s: errors of raw readings stay below 0.5 rad over the first
 WANTED_MATRIX, WANTED_REST_DPS = 2e-3, 0.03  # relative uncertainty of M, and spread of the rest offsets
 
 
@@ -192,38 +181,48 @@ def fit_reference(
     records: Sequence[Record],
     references: Sequence[Reference],
     *,
-    settings: ReferenceSettings = ReferenceSettings(),
+    mounting: Mounting = "each",
     adc: AdcModel | None = None,
     lag_settings: sync.LagSettings = sync.LagSettings(),
 ) -> ReferenceFit:
-    """Fit matrix, offset in motion, and rounding loss of a gyroscope to references, for the rounding ``adc`` of its codes."""
-    return fit_aligned(_align_all(records, references, lag_settings), settings, adc)
+    """Fit matrix, offset in motion, and rounding loss of a gyroscope to references, for the rounding ``adc`` of its codes.
+
+    With ``mounting`` "each" the device was put on the reference body again for each recording.
+    """
+    check_choice(mounting, Mounting, "reference", "mounting")
+    return fit_aligned(_align_all(records, references, lag_settings), mounting, adc=adc)
 
 
-def fit_aligned(aligned: Sequence[Aligned], settings: ReferenceSettings, adc: AdcModel | None = None) -> ReferenceFit:
-    """Fit the gyroscope of a device to recordings whose lag and motion are known."""
-    recordings = [recording_of(recording, turning=settings.turning) for recording in aligned]
-    return _fit(recordings, settings, aligned[0].record.gyro_unit, adc)
+def fit_aligned(
+    aligned: Sequence[Aligned], mounting: Mounting, *, turning: bool = True, adc: AdcModel | None = None
+) -> ReferenceFit:
+    """Fit the gyroscope of a device to recordings whose lag and motion are known.
+
+    d acts while the device turns, or without ``turning`` from the first to the last rest.
+    """
+    recordings = [recording_of(recording, turning=turning) for recording in aligned]
+    return _fit(recordings, mounting, aligned[0].record.gyro_unit, adc, moving_apart=turning)
 
 
 def leave_one_out(
     records: Sequence[Record],
     references: Sequence[Reference],
     *,
-    settings: ReferenceSettings = ReferenceSettings(),
+    mounting: Mounting = "each",
     adc: AdcModel | None = None,
     lag_settings: sync.LagSettings = sync.LagSettings(),
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> tuple[HeldOut, ...]:
     """Fit a model for each recording to all other recordings of the device. ``progress`` gets a text and a share from 0 to 1."""
+    check_choice(mounting, Mounting, "reference", "mounting")
     if len(records) < 2:
         raise InputError(f"leave one out: two recordings of a device or more are needed, got {len(records)}.")
     aligned = _align_all(records, references, lag_settings)
-    recordings = [recording_of(recording, turning=settings.turning) for recording in aligned]
+    recordings = [recording_of(recording) for recording in aligned]
     trials = list[HeldOut]()
     for k, recording in enumerate(recordings):
         progress(f"fit without recording {k + 1} of {len(records)}", k / len(records))
-        fit = _fit([*recordings[:k], *recordings[k + 1 :]], settings, records[0].gyro_unit, adc)
+        fit = _fit([*recordings[:k], *recordings[k + 1 :]], mounting, records[0].gyro_unit, adc)
         codes = fit.triad.model.code_offset
         rest = recording.rest if codes is None else recording.rest + recording.rest_sign * codes
         trials.append(HeldOut(fit, fit.model_at_rest_offset(rest)))
@@ -283,33 +282,31 @@ class _Parameters:
         return replace(self, value=self.value + full_step, mountings=mountings)
 
 
-def _fit(recordings: Sequence[Recording], settings: ReferenceSettings, unit: str, adc: AdcModel | None) -> ReferenceFit:
+def _fit(
+    recordings: Sequence[Recording], mounting: Mounting, unit: str, adc: AdcModel | None, *, moving_apart: bool = True
+) -> ReferenceFit:
     """Fit a device to short windows, then to longer windows, each time starting from the previous fit."""
-    parameters = _start(recordings, settings, unit, adc)
+    parameters = _start(recordings, mounting, unit, adc, moving_apart=moving_apart)
     solution, scale, window_s = None, USUAL_RESIDUAL, 0.0
-    doublings = int(np.ceil(np.log2(settings.longest_window_s / FIRST_WINDOW_S)))
-    for number in range(doublings + 1 + REFINEMENTS):
-        length_s = min(FIRST_WINDOW_S * 2.0**number, settings.longest_window_s)
+    for length_s in WINDOWS_S:
         reach = round(length_s / STRIDE_S)
         windows, design = parameters.equations(recordings, reach)
-        count, unknown = (
-            sum(-(-len(recording_windows.first) // reach) for recording_windows in windows),
-            design.shape[2],
-        )
-        if 3 * count <= unknown and solution is None:
-            causes = " ".join(item.text for recording in recordings for item in recording.findings)
-            raise NotObservable(
-                f"reference: {unknown} parameters need more than {unknown // 3} windows of {length_s:g} s that do not overlap, "
-                f"got {count}. {causes} Record longer motion.",
-                windows=count,
-            )
-        if 3 * count <= unknown:
-            break  # the recordings are too short for longer windows
+        count = sum(-(-len(recording_windows.first) // reach) for recording_windows in windows)
+        unknown = design.shape[2]
+        if 3 * count <= unknown:  # the recordings are too short for these windows
+            break
         free = parameters.free
         prior_step, spread = (parameters.expected - parameters.value)[free], parameters.spread[free]
         solution, window_s = solve(windows, design, prior_step, spread, reach=reach, scale=scale), length_s
         parameters, scale = parameters.moved(solution.step), solution.scale
-    if solution is None or np.linalg.det(parameters.value[:9].reshape(3, 3)) <= 0.0:
+    if solution is None:
+        causes = " ".join(item.text for recording in recordings for item in recording.findings)
+        raise NotObservable(
+            f"reference: {unknown} parameters need more than {unknown // 3} windows of {length_s:g} s that do not overlap, "
+            f"got {count}. {causes} Record longer motion.",
+            windows=count,
+        )
+    if np.linalg.det(parameters.value[:9].reshape(3, 3)) <= 0.0:
         raise Implausible(
             "reference: the fit did not converge to a right-handed matrix. Check the axes of the readings."
         )
@@ -317,7 +314,7 @@ def _fit(recordings: Sequence[Recording], settings: ReferenceSettings, unit: str
 
 
 def _start(
-    recordings: Sequence[Recording], settings: ReferenceSettings, unit: str, adc: AdcModel | None
+    recordings: Sequence[Recording], mounting: Mounting, unit: str, adc: AdcModel | None, *, moving_apart: bool
 ) -> _Parameters:
     """Return the initial parameters, from the regression of rates on readings in the search for the lags."""
     from scipy.linalg import null_space
@@ -331,8 +328,8 @@ def _start(
     axes = np.linalg.svd(common, compute_uv=False)
     if ((np.linalg.det(common) < 0.0) & (axes[:, 2] > THIRD_AXIS**2 * axes[:, 0])).any():
         raise Implausible("reference: one axis of the readings or of the reference is reversed. Change its sign.")
-    free_mountings = settings.mounting == "each"
-    bodies = Rotation.from_matrix(_nearest_rotation(free_mountings * common + SHARED_BODY * common.sum(axis=0)))
+    each = mounting == "each"
+    bodies = Rotation.from_matrix(_nearest_rotation(each * common + SHARED_BODY * common.sum(axis=0)))
     mountings = bodies * bodies.mean().inv()
     physical = is_physical(unit)
     factor = si_factor(unit, "rate") if physical else float(axes.sum() / np.trace(power, axis1=1, axis2=2).sum())
@@ -347,23 +344,21 @@ def _start(
     half = 0.0
     if adc is not None and adc.gyro_lsb is not None:
         step, half = adc.gyro_lsb, 0.5 * (adc.gyro_rounding == "toward_zero")
-    count, moving_apart = len(recordings), settings.turning and bool(rested.any())
+    count = len(recordings)
     changes = np.eye(count)[:, ~rested] if count > 1 else np.zeros((1, 0))
-    rotations = null_space(np.ones((1, count))) if free_mountings else np.zeros((count, 0))
-    group_sizes = 3 * changes.shape[1], 3 * rotations.shape[1]
-    local = np.zeros((count, 18, 15 + sum(group_sizes)))
+    rotations = null_space(np.ones((1, count))) if each else np.zeros((count, 0))
+    sizes = 3 * changes.shape[1], 3 * rotations.shape[1]
+    local = np.zeros((count, 18, 15 + sum(sizes)))
     local[:, :15, :15] = np.eye(15)
-    local[:, 9:12, 15 : 15 + group_sizes[0]], local[:, 15:, 15 + group_sizes[0] :] = (
-        [np.kron(shares, np.eye(3)) for shares in columns] for columns in (changes, rotations)
-    )
-    spreads = (
-        MATRIX_PRIOR * factor if physical else np.inf, MOVING_PRIOR if moving_apart else np.inf, 0.0, TURN_ON, MOUNTING_PRIOR,
-    )  # fmt: skip
-    spread = np.repeat(spreads, (9, 3, 3, *group_sizes))
+    local[:, 9:12, 15 : 15 + sizes[0]] = [np.kron(shares, np.eye(3)) for shares in changes]
+    local[:, 15:, 15 + sizes[0] :] = [np.kron(shares, np.eye(3)) for shares in rotations]
+    matrix_spread = MATRIX_PRIOR * factor if physical else np.inf
+    moving_spread = MOVING_PRIOR if moving_apart and rested.any() else np.inf
+    spread = np.repeat([matrix_spread, moving_spread, 0.0, TURN_ON, MOUNTING_PRIOR], (9, 3, 3, *sizes))
     spread[12:15] = CODE_PRIOR * step
     return _Parameters(
-        value=np.concatenate((matrix.ravel(), np.mean(moving, axis=0), half * step, np.zeros(sum(group_sizes)))),
-        expected=np.concatenate((nominal.ravel(), np.zeros(3), half * step, np.zeros(sum(group_sizes)))),
+        value=np.concatenate((matrix.ravel(), np.mean(moving, axis=0), half * step, np.zeros(sum(sizes)))),
+        expected=np.concatenate((nominal.ravel(), np.zeros(3), half * step, np.zeros(sum(sizes)))),
         spread=spread,
         local=local,
         offsets=offsets,
@@ -416,21 +411,17 @@ def _result(
         sign = np.mean([r.rest_sign for r in rested], axis=0)
         base = np.mean([r.rest for r in rested], axis=0) + sign * codes
         spread = np.sqrt(np.sum([r.rest_uncertainty**2 for r in rested], axis=0)) / len(rested)
-    # The fit has M, d and c. The offset o is the mean at rest. An error of this mean moves o, and moves d by the opposite amount.
-    free, eye, zero, inverse = parameters.free[parameters.free < 15], np.eye(3), np.zeros((3, 3)), np.linalg.inv(matrix)
+    inverse = np.linalg.inv(matrix)
     motion_offset = inverse @ moving
-    rest_rows = [np.zeros((3, 9)), zero, np.diag(sign), eye]
-    moving_rows = [-np.kron(inverse, motion_offset), inverse, np.diag(sign), zero]
-    jacobian = np.vstack(
-        [
-            np.eye(9, 18),
-            np.hstack(rest_rows if moving_apart else moving_rows),
-            np.hstack(
-                [np.zeros((3 * moving_apart, 9)), *(block[: 3 * moving_apart] for block in (eye, zero, -matrix))]
-            ),
-            np.eye(3 * coded, 18, 12),
-        ]
-    )
+    # The fit has M, d and c. The offset o is the mean at rest. An error r of this mean moves o, and moves d by the opposite amount.
+    of_matrix, of_moving, of_codes, of_rest = np.split(np.eye(18), (9, 12, 15))
+    of_offset = np.diag(sign) @ of_codes
+    if moving_apart:
+        rows = [of_matrix, of_offset + of_rest, of_moving - matrix @ of_rest]
+    else:
+        rows = [of_matrix, of_offset + inverse @ of_moving - np.kron(inverse, motion_offset) @ of_matrix]
+    jacobian = np.vstack((*rows, *([of_codes] if coded else [])))
+    free = parameters.free[parameters.free < 15]
     covariance = block_diag(np.zeros((15, 15)), np.diag(spread**2))
     covariance[np.ix_(free, free)] = solution.covariance[: len(free), : len(free)]
     rates = [(r.gyro[r.moving] - base - motion_offset) @ matrix.T for r in recordings]
@@ -440,12 +431,7 @@ def _result(
         unit_out="rad/s",
         matrix=matrix,
         offset=base if moving_apart else base + motion_offset,
-        parameters=(
-            *MATRIX_NAMES,
-            *OFFSET_NAMES,
-            *(MOVING_NAMES if moving_apart else ()),
-            *(CODE_NAMES if coded else ()),
-        ),
+        parameters=MATRIX_NAMES + OFFSET_NAMES + MOVING_NAMES * moving_apart + CODE_NAMES * coded,
         covariance=jacobian @ covariance @ jacobian.T,
         rms_residual=float(np.sqrt((solution.residuals**2).mean())) / window_s,
         count=solution.residuals.size,

@@ -29,9 +29,8 @@ from undrift.findings import Verdict, told_apart
 from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
-    from undrift.calibration.reference import ReferenceSettings
     from undrift.model import Calibration
-    from undrift.record import Record, Reference, Session
+    from undrift.record import Mounting, Record, Reference, Session
     from undrift.sync import LagSettings
     from undrift.validation.agreement import Validation
     from undrift.validation.levels import LevelTable
@@ -260,7 +259,6 @@ def validate(
     progress : callable
         Called with the work and its share.
     """
-    from undrift.calibration.reference import ReferenceSettings
     from undrift.sync import LagSettings
     from undrift.validation.trial import TrialSettings
 
@@ -304,12 +302,12 @@ def validate(
     for (record, reference), path in zip(pairs, records, strict=True):
         if chosen.model is None:
             _check_readings(record, reference, path, settings, physical=calibrate_from is None)
-    model, fit_settings = chosen.model, ReferenceSettings(mounting=(session and session.mounting) or "each")
+    model, mounting = chosen.model, (session and session.mounting) or "each"
     if calibrate_from is not None:
         progress("fitting to all recordings", READ)
-        model = _fit(pairs, session, gravity_m_s2, fit_settings, settings.lag)
+        model = _fit(pairs, session, gravity_m_s2, mounting, settings.lag)
     names, steps = [name_of(path) for path in records], part_of(progress, READ, 1.0)
-    validated = _compare(pairs, names, model, settings, fit_settings if leave_one_out else None, steps)
+    validated = _compare(pairs, names, model, settings, mounting if leave_one_out else None, steps)
     references = [path.name for path in optics.reference] or [""] * len(records)
     files = tuple((path.name, reference) for path, reference in zip(records, references, strict=True))
     source = chosen.path.name if chosen.path else ""
@@ -337,7 +335,7 @@ def _fit(
     pairs: list[tuple["Record", "Reference"]],
     session: "Session | None",
     gravity_m_s2: float | None,
-    settings: "ReferenceSettings",
+    mounting: "Mounting",
     lag_settings: "LagSettings",
 ) -> "Calibration":
     """Return the device calibrated by all references."""
@@ -347,7 +345,7 @@ def _fit(
     if session is not None and session.gravity_source != "standard":
         place = {"gravity_m_s2": session.gravity_m_s2}
     records, references = [record for record, _ in pairs], [reference for _, reference in pairs]
-    model = calibrate_to_references(records, references, settings=settings, lag_settings=lag_settings, **place)
+    model = calibrate_to_references(records, references, mounting=mounting, lag_settings=lag_settings, **place)
     return model if session is None else replace(model, device=session.serial or model.device)
 
 
@@ -356,7 +354,7 @@ def _compare(
     names: list[str],
     model: "Calibration | None",
     settings: "TrialSettings",
-    leave_one_out: "ReferenceSettings | None",
+    leave_one_out: "Mounting | None",
     progress: Progress,
 ) -> Validated:
     """Compare the recordings by a calibration, or each by the fit to the others, and at each level of correction."""
@@ -368,8 +366,8 @@ def _compare(
     if leave_one_out is None:
         result = validate_trials(pairs, calibrations=(model,), settings=settings, **how)
     else:
-        result = validate_leave_one_out(pairs, settings=settings, fit_settings=leave_one_out, **how)
-        if leave_one_out.mounting == "each":
+        result = validate_leave_one_out(pairs, settings=settings, mounting=leave_one_out, **how)
+        if leave_one_out == "each":
             settings = replace(settings, align_above=min(settings.align_above, MOUNTING_ABOVE))
         calibrations = [model and replace(model, gyro=held_out.fit.triad.model) for held_out in result.held_out]
         verdict = Verdict()

@@ -23,7 +23,6 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.calibrate import calibrate_to_references
-from undrift.calibration.reference import ReferenceSettings
 from undrift.errors import AlignmentError, CalibrationError, NotObservable
 from undrift.fit.gls import solve_inverse
 from undrift.fit.triad import first_matrix, fit_of, parameters_of
@@ -163,7 +162,7 @@ def _by_poses(
         q_nb, position = disturbed(motion.q_nb, performed.position(record.time), streams=camera, settings=POSES[rival])
         records.append(record)
         references.append(Reference(time=record.time, q_nb=q_nb, position=position, moving=motion.moving))
-    fitted = calibrate_to_references(records, references, settings=ReferenceSettings(mounting="one"))
+    fitted = calibrate_to_references(records, references, mounting="one")
     if fitted.accel is None:
         raise NotObservable(f"{rival}: the rests do not determine the accelerometers.")
     return replace(fitted, reference_temp_c=ROOM_TEMP_C)

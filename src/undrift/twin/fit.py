@@ -17,7 +17,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.codes import CodeGrid, device_adc, identify_adc
-from undrift.calibration.reference import ReferenceFit, ReferenceSettings, fit_aligned
+from undrift.calibration.reference import ReferenceFit, fit_aligned
 from undrift.errors import CalibrationError, InputError
 from undrift.frames import rotate
 from undrift.model import AXES, MATRIX_NAMES, AdcModel, TriadModel
@@ -172,7 +172,7 @@ def fit_prepared(prepared: Prepared, *, chosen: Sequence[int] | None = None) -> 
     """Fit the device model to all recordings, or to a subset."""
     numbers = range(len(prepared.matches)) if chosen is None else chosen
     matches = [prepared.matches[k] for k in numbers]
-    gyro = fit_aligned(matches, ReferenceSettings(mounting="one", turning=False))
+    gyro = fit_aligned(matches, "one", turning=False)
     accel = solve_accel([prepared.accel[k] for k in numbers]) if prepared.accel else None
     rests, first = [item.rest for item in matches if item.span.rested], matches[0].record
     grids = {

@@ -31,12 +31,12 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.base.summary import Shown
 from undrift.calibration.codes import device_adc
-from undrift.calibration.reference import HeldOut, ReferenceSettings, leave_one_out
+from undrift.calibration.reference import HeldOut, leave_one_out
 from undrift.calibration.reference_accel import turned_like
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
 from undrift.model import Calibration
-from undrift.record import Record, Reference
+from undrift.record import Mounting, Record, Reference
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation.expected import OffsetSource
 from undrift.validation.trial import TRIAL_SETTINGS, Figures, Trial, TrialSettings, of_finite, rows_of, validate_trial
@@ -265,7 +265,7 @@ def validate_leave_one_out(
     pairs: Sequence[Pair],
     *,
     settings: TrialSettings = TRIAL_SETTINGS,
-    fit_settings: ReferenceSettings = ReferenceSettings(),
+    mounting: Mounting = "each",
     names: Sequence[str] = (),
     progress: Progress = lambda what, share: None,
 ) -> Validation:
@@ -279,8 +279,8 @@ def validate_leave_one_out(
         Two or more recordings of one device.
     settings : TrialSettings
         Settings of ``validate_trial``. The fit brings the offset, so of ``offset`` only "motion" has an effect.
-    fit_settings : ReferenceSettings
-        Settings of the fit.
+    mounting : str
+        "each" if the device was put on the reference body again for each recording, or "one".
     names : sequence of str
         Name of each trial, by default that of its reference.
     progress : callable
@@ -296,10 +296,10 @@ def validate_leave_one_out(
     InputError
         Fewer than two recordings; and all that ``leave_one_out`` and ``validate_trial`` raise.
     """
-    calibrations, fits = calibrations_by_others(pairs, settings=settings, fit_settings=fit_settings, progress=progress)
+    calibrations, fits = calibrations_by_others(pairs, settings=settings, mounting=mounting, progress=progress)
     shown = settings.offset == "motion"
     settings = replace(settings, offset="motion" if shown else "none")
-    if fit_settings.mounting == "each":
+    if mounting == "each":
         settings = replace(settings, align_above=min(settings.align_above, MOUNTING_ABOVE))
     source = OffsetSource(rest="shown" if shown else "own", in_motion=True, recordings=len(pairs) - 1)
     findings = _check_one_device(fits)
@@ -314,7 +314,7 @@ def calibrations_by_others(
     pairs: Sequence[Pair],
     *,
     settings: TrialSettings = TRIAL_SETTINGS,
-    fit_settings: ReferenceSettings = ReferenceSettings(),
+    mounting: Mounting = "each",
     progress: Progress = lambda what, share: None,
 ) -> tuple[tuple[Calibration, ...], tuple[HeldOut, ...]]:
     """Return a calibration per recording, from the other references and the offset of its own rest, and the fits."""
@@ -325,9 +325,7 @@ def calibrations_by_others(
                 f"leave-one-out: recording {k + 1} has the same readings as recording {i + 1}. List each recording once."
             )
     adc = device_adc(records)
-    fits = leave_one_out(
-        records, references, settings=fit_settings, adc=adc, lag_settings=settings.lag, progress=progress
-    )
+    fits = leave_one_out(records, references, mounting=mounting, adc=adc, lag_settings=settings.lag, progress=progress)
     calibrations = (
         Calibration(
             device=record.device,
