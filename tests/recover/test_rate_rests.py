@@ -22,7 +22,7 @@ from testkit.data import show
 from testkit.findings import codes, only
 from undrift.calibration import sources
 from undrift.calibration.calibrate import calibrate
-from undrift.calibration.rate_table import RestMeans, fit_rate_table
+from undrift.calibration.rate_table import fit_rate_table
 from undrift.calibration.session import spans_of
 from undrift.calibration.table import DwellMeans, dwell_means
 from undrift.fit.priors import G_SENSITIVITY, GYRO_FLICKER
@@ -116,10 +116,7 @@ def fitted(device: DeviceModel, rng: np.random.Generator, walk: float) -> TriadF
         reading=reading[:n], turn_rate=p.rate[:n].sum(axis=1), axis=p.axes, noise=sigma[:n], up=np.ones(n), unit="count",
         span=spans(p)[:n],
     )  # fmt: skip
-    rests = RestMeans(
-        dwell_force=p.force[:n], reading=reading[n:], force=p.force[n:], noise=sigma[n:], span=spans(p)[n:]
-    )
-    return fit_rate_table(dwells, rests)
+    return fit_rate_table(dwells.with_rests(reading[n:], noise=sigma[n:], span=spans(p)[n:], force=p.force))
 
 
 def report(theta: Array) -> Array:
@@ -298,22 +295,22 @@ def fitted_recording(device: DeviceModel, record, motion: Motion) -> tuple[Triad
     dwells = dwell_means((record,), motion.turns)
     parts = [slice(still.start, still.stop) for still in motion.stills]
     length_s = np.array([(p.stop - p.start) / motion.sample_rate_hz for p in parts])
-    rests = RestMeans(
-        dwell_force=np.array([motion.force_b[t.start : t.stop].mean(axis=0) for t in motion.turns]),
-        reading=np.array([record.gyro[p].mean(axis=0) for p in parts]),
-        force=np.array([motion.force_b[p].mean(axis=0) for p in parts]),
+    pieces = [slice(turn.start, turn.stop) for turn in motion.turns] + parts
+    means = dwells.with_rests(
+        np.array([record.gyro[p].mean(axis=0) for p in parts]),
         noise=white(device) / np.sqrt(length_s)[:, None],
         span=spans_of((record,), motion.stills),
+        force=np.array([motion.force_b[p].mean(axis=0) for p in pieces]),
     )
-    assert dwells.span is not None
-    both = np.concatenate((dwells.span, rests.span)).mean(axis=1)
-    return fit_rate_table(dwells, rests), np.array([both.min(), both.max()])
+    assert means.span is not None
+    both = means.span.mean(axis=1)
+    return fit_rate_table(means), np.array([both.min(), both.max()])
 
 
 # Findings, and sessions without any.
 
 
-def steady(walk: float = 0.0, scatter: float = 1.0) -> tuple[DwellMeans, RestMeans]:
+def steady(walk: float = 0.0, scatter: float = 1.0) -> DwellMeans:
     rng, p, n = np.random.default_rng(40), plan(), plan().dwells
     sigma = np.full((len(p.time), 3), 1e-4)
     reading = p.rate + walk_of(rng, np.full(3, walk)) + scatter * sigma * rng.standard_normal(sigma.shape)
@@ -325,49 +322,41 @@ def steady(walk: float = 0.0, scatter: float = 1.0) -> tuple[DwellMeans, RestMea
         up=np.ones(n),
         span=spans(p)[:n],
     )
-    return dwells, RestMeans(
-        dwell_force=p.force[:n], reading=reading[n:], force=p.force[n:], noise=sigma[n:], span=spans(p)[n:]
-    )
+    return dwells.with_rests(reading[n:], noise=sigma[n:], span=spans(p)[n:], force=p.force)
 
 
-def felt(dwells: DwellMeans, rests: RestMeans, H: Array) -> tuple[DwellMeans, RestMeans]:
-    """Return the same readings of gyroscopes with g-sensitivity."""
-    return (
-        replace(dwells, reading=dwells.reading + rests.dwell_force @ H.T),
-        replace(rests, reading=rests.reading + rests.force @ H.T),
-    )
+def dwells_of(means: DwellMeans) -> DwellMeans:
+    """Return the dwells without the rests."""
+    n = plan().dwells
+    parts = {name: getattr(means, name)[:n] for name in ("reading", "turn_rate", "axis", "noise", "up", "span")}
+    return replace(means, force=None, **parts)
 
 
 def test_a_quiet_session_has_no_finding() -> None:
-    dwells, rests = steady()
-    fit = fit_rate_table(dwells, rests)
+    fit = fit_rate_table(steady())
     assert fit.verdict.reasons == ()
     assert fit.model.count == fit.residuals.size == 3 * len(plan().time)
     assert fit.model.rank == 21
 
 
 def test_without_rests_dwells_alone_leave_gravity_out() -> None:
-    dwells, rests = steady()
-    dwells, _ = felt(dwells, rests, np.eye(3) * 1e-3)
-    fit = fit_rate_table(dwells)
+    means = steady()
+    fit = fit_rate_table(dwells_of(replace(means, reading=means.reading + 1e-3 * means.force)))
     assert fit.model.g_sensitivity is None
     assert fit.model.count == 3 * plan().dwells
 
 
 def test_rests_on_one_face_leave_the_g_sensitivity_at_its_prior() -> None:
-    dwells, rests = steady()
+    means = steady()
     up = np.array([0.0, 0.0, STANDARD_GRAVITY])  # dwells too: as if the device never turned over
-    alike = replace(
-        rests, force=np.tile(up, (len(rests.force), 1)), dwell_force=np.tile(up, (len(rests.dwell_force), 1))
-    )
-    fit = fit_rate_table(dwells, alike)
+    fit = fit_rate_table(replace(means, force=np.tile(up, (len(means.axis), 1))))
     sigma = fit.model.standard_uncertainty[12:].reshape(3, 3)
     np.testing.assert_allclose(sigma[:, :2], G_SENSITIVITY, rtol=1e-6)
 
 
 def test_a_walk_is_reported_with_what_to_do_about_it() -> None:
     walk = np.radians(0.02)  # deg/s/sqrt(s): 0.155 deg/s in a minute
-    fit = fit_rate_table(*steady(walk))
+    fit = fit_rate_table(steady(walk))
     (drift,) = fit.verdict.findings
     assert (drift.code, drift.level) == ("rate_table.drift", "warn")
     size = drift.values["dps_per_minute"]
@@ -377,13 +366,12 @@ def test_a_walk_is_reported_with_what_to_do_about_it() -> None:
 
 
 def test_without_times_no_walk_is_looked_for() -> None:
-    dwells, rests = steady(np.radians(0.01))
-    fit = fit_rate_table(replace(dwells, span=None), rests)
+    fit = fit_rate_table(replace(steady(np.radians(0.01)), span=None))
     assert "rate_table.drift" not in codes(fit.verdict.findings)
 
 
 def test_the_earth_is_taken_off_dwells_whose_axis_is_upright() -> None:
-    dwells = replace(steady()[0], span=None)
+    dwells = replace(dwells_of(steady()), span=None)
     with_earth = fit_rate_table(dwells, latitude_deg=90.0)
     without = fit_rate_table(dwells)
     # Each axis is up in a third of the dwells: the offset of its sensor falls by a third of 7.2921e-5 rad/s,
@@ -392,6 +380,5 @@ def test_the_earth_is_taken_off_dwells_whose_axis_is_upright() -> None:
 
 
 def test_an_offset_that_goes_with_time_asks_for_a_warm_up_without_accelerometers_too() -> None:
-    dwells, _ = steady(np.radians(0.05))
-    fit = fit_rate_table(dwells)
+    fit = fit_rate_table(dwells_of(steady(np.radians(0.05))))
     assert "warm the device up before" in only(fit.verdict.findings, "rate_table.drift").action

@@ -22,7 +22,7 @@ session. Parameters that the session does not determine keep their prior: G, and
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -31,7 +31,6 @@ from undrift.arrays import FloatArray
 from undrift.calibration.codes import limited_by_codes
 from undrift.calibration.plausibility import (
     SCALE_TOLERANCE,
-    axis_vectors,
     check_axis_order,
     check_own_scale,
     face_vectors,
@@ -62,22 +61,8 @@ MIN_NOISE = 1e-9  # relative to the largest reading, the arithmetic error of the
 RateTableMode = Literal["paper", "affine"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RestMeans:
-    """Readings at rest, and the specific force of rests and dwells, from accelerometers or along the labelled faces."""
-
-    dwell_force: FloatArray  # (N, 3), mean corrected specific force of each dwell, m/s2, frame b
-    reading: FloatArray  # (P, 3), mean gyroscope reading of each rest, unit of the dwells
-    force: FloatArray  # (P, 3), mean corrected specific force of each rest, m/s2
-    noise: FloatArray  # (P, 3), standard deviation of each mean reading
-    span: FloatArray  # (P, 2), start and stop of each rest, s, on the clock of the dwells
-    felt: bool = True  # False without accelerometers: a g-sensitivity is then fitted, but cannot be corrected
-    stills: tuple[Still, ...] = ()  # the rests in the session
-
-
 def fit_rate_table(
     dwells: DwellMeans,
-    rests: RestMeans | None = None,
     *,
     mode: RateTableMode = "affine",
     latitude_deg: float | None = None,
@@ -85,7 +70,7 @@ def fit_rate_table(
     cross_axis_prior: float = 0.01,
     creep: Creep | None = None,
 ) -> TriadFit:
-    """Fit gyroscopes to the dwells of a rate table and to rests, with the Earth's rate on a vertical axis for a latitude in deg.
+    """Fit gyroscopes to the dwells and rests on a rate table, with the Earth's rate on a vertical axis for a latitude in deg.
 
     Residuals are corrected minus true rates, rad/s. For an axis that the table did not turn, the column keeps the nominal scale
     factor, with cross-axis terms of ``cross_axis_prior``.
@@ -96,23 +81,19 @@ def fit_rate_table(
         raise NotObservable(
             f"rate table, mode paper: expected turns about x, y and z, got none about {missing_axes}. Record them."
         )
-    rows = _rows(dwells, rates, rests)
-    matrix = first_table_matrix(rows.rate, rows.reading, turn_axes, dwells.unit)
+    matrix = first_table_matrix(rates, dwells.reading, turn_axes, dwells.unit)
     check_axis_order(np.linalg.inv(matrix), "rate table", against="turns")
-    sources = _sources(rows, matrix, dwells)
+    sources = _sources(dwells, rates, matrix)
     if creep is not None:
-        sources["temperature"] = creep.covariance_in_case(rows.rate)
-    prior = table_prior(matrix, turn_axes, rows.force is not None, dwells.unit, cross_axis_prior)
-    excess = _excess(rows, dwells)
-    gls = solve_inverse(rows.reading, rows.rate, rows.force, matrix, sources, excess=excess, prior=prior)
+        sources["temperature"] = creep.covariance_in_case(rates)
+    prior = table_prior(matrix, turn_axes, dwells.force is not None, dwells.unit, cross_axis_prior)
+    gls = solve_inverse(dwells.reading, rates, dwells.force, matrix, sources, excess=_excess(dwells), prior=prior)
     names: dict[str, Any] = {"method": f"rate-table/{mode}", "unit_in": dwells.unit, "unit_out": "rad/s"}
     if mode == "paper":
         fit = fit_paper(rates, dwells.reading, gls, **names)
     else:
-        parameters = parameters_of(gls)
-        if rests is not None and not rests.felt:
-            parameters = parameters.without_g()
-        fit = fit_of(parameters, rows.rate, -gls.residuals.reshape(-1, 3), **names)
+        parameters = parameters_of(gls) if dwells.felt else parameters_of(gls).without_g()
+        fit = fit_of(parameters, rates, -gls.residuals.reshape(-1, 3), **names)
         fit = replace(fit, verdict=Verdict.of(*_findings(fit.model, gls, dwells)))
     check_own_scale(fit.model.scale_factor, dwells.unit, "rate", scale_tolerance, "gyroscope")
     return fit
@@ -126,7 +107,7 @@ def _check_turn_axes(dwells: DwellMeans, scale_tolerance: float) -> list[int]:
         if len(np.unique(dwells.turn_rate[rows])) < 2:
             continue
         turn_axes.append(k)
-        if len(set(dwells.axis)) < 3:  # with three axes the whole matrix reveals exchanged columns
+        if len({*dwells.axis} - {None}) < 3:  # with three axes the whole matrix reveals exchanged columns
             slope = np.polyfit(dwells.turn_rate[rows], dwells.reading[rows], 1)[0]
             check_reads_positive(slope, k)
             check_own_scale(slope[k], dwells.unit, "rate", scale_tolerance, f"gyroscope {axis}")
@@ -150,29 +131,6 @@ def check_reads_positive(slope: FloatArray, k: int) -> None:
 
 
 # ---- rows and sources
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _TableRows:
-    """Dwells, then rests: E pieces, three rows each."""
-
-    reading: FloatArray  # (E, 3), unit of the dwells
-    rate: FloatArray  # (E, 3), imposed, rad/s
-    force: FloatArray | None  # (E, 3), m/s2
-    noise: FloatArray | None  # (E, 3), standard deviation of each mean
-    span: FloatArray | None  # (E, 2), s
-
-
-def _rows(dwells: DwellMeans, rates: FloatArray, rests: RestMeans | None) -> _TableRows:
-    if rests is None:
-        return _TableRows(reading=dwells.reading, rate=rates, force=None, noise=dwells.noise, span=dwells.span)
-    return _TableRows(
-        reading=np.vstack((dwells.reading, rests.reading)),
-        rate=np.vstack((rates, np.zeros_like(rests.reading))),
-        force=np.vstack((rests.dwell_force, rests.force)),
-        noise=None if dwells.noise is None else np.vstack((dwells.noise, rests.noise)),
-        span=None if dwells.span is None else np.vstack((dwells.span, rests.span)),
-    )
 
 
 def first_table_matrix(rate: FloatArray, reading: FloatArray, turn_axes: Sequence[int], unit: str) -> FloatArray:
@@ -203,53 +161,44 @@ def table_prior(
     return Prior(mean=mean, precision=precision) if precision.any() else None
 
 
-def _sources(rows: _TableRows, matrix: FloatArray, dwells: DwellMeans) -> dict[str, FloatArray]:
-    """Return the covariances (3 E, 3 E) of the rows by known source, (rad/s)^2."""
-    count, number, axes = len(rows.rate), len(dwells.turn_rate), dwells.axes
-    floor = (MIN_NOISE * float(np.abs(rows.reading).max())) ** 2 + 1e-300
-    noise = np.zeros_like(rows.reading) if rows.noise is None else rows.noise**2
+def _sources(dwells: DwellMeans, rates: FloatArray, matrix: FloatArray) -> dict[str, FloatArray]:
+    """Return the covariances (3 N, 3 N) of the rows by known source, (rad/s)^2."""
+    count, axes = len(rates), dwells.axes
+    floor = (MIN_NOISE * float(np.abs(dwells.reading).max())) ** 2 + 1e-300
+    noise = np.zeros_like(dwells.reading) if dwells.noise is None else dwells.noise**2
     codes = np.minimum(dwells.codes, noise)
     # Equal readings have equal rounding errors. Readings a step or more apart have independent errors, because their positions
     # between two codes are unknown. For smaller distances the correlation falls linearly.
-    place = rows.reading / np.where(dwells.codes > 0.0, dwells.step, 1.0)
+    place = dwells.reading / np.where(dwells.codes > 0.0, dwells.step, 1.0)
     rounding = np.sqrt(codes[:, None] * codes) * np.maximum(1.0 - np.abs(place[:, None] - place), 0.0)
     sources = {
         "noise": in_case(matrix, np.eye(count)[:, :, None] * np.maximum(noise - codes, floor)[:, None]),
         "adc": in_case(matrix, rounding),
     }
-    if rows.span is not None:
-        sources["instability"] = gyro_drift(rows.span)
+    if dwells.span is not None:
+        sources["instability"] = gyro_drift(dwells.span)
     if axes is not None:
-        columns = np.zeros((count, 3, axes.columns.shape[2]))
-        columns[:number] = axes.columns * dwells.turn_rate[:, None, None]
-        tilts, common = columns.reshape(3 * count, -1), axes.rate * rows.rate.ravel()
-        wobble = axes.wobble * _turning(dwells, count)[0]
+        tilts = (axes.columns * dwells.turn_rate[:, None, None]).reshape(3 * count, -1)
+        common, wobble = axes.rate * rates.ravel(), axes.wobble * _rate_across(dwells)
         sources["rate"] = np.outer(common, common)
-        sources["mounting"] = tilts @ tilts.T + np.diag(wobble.ravel() ** 2)
+        sources["mounting"] = tilts @ tilts.T + np.diag(wobble**2)
     return sources
 
 
-def _excess(rows: _TableRows, dwells: DwellMeans) -> dict[str, FloatArray]:
-    """Return the covariance of each error of unknown size, for size 1: (3 E, 3 E), or its diagonal (3 E,)."""
-    count = len(rows.rate)
-    if rows.noise is None:
-        return {"noise": np.ones(3 * count)}
-    cross_rate, axis_rate = _turning(dwells, count)
-    shapes = {"mounting wobble": cross_rate.ravel() ** 2, "ripple": axis_rate.ravel() ** 2}
+def _excess(dwells: DwellMeans) -> dict[str, FloatArray]:
+    """Return the covariance of each error of unknown size, for size 1: (3 N, 3 N), or its diagonal (3 N,)."""
+    if dwells.noise is None:
+        return {"noise": np.ones(dwells.reading.size)}
+    along = (dwells.axis_b * dwells.turn_rate[:, None]).ravel()
+    shapes = {"mounting wobble": _rate_across(dwells) ** 2, "ripple": along**2}
     if dwells.axes is not None and dwells.axes.ripple.any():
-        relative = np.zeros((count, count))
-        relative[: len(dwells.turn_rate), : len(dwells.turn_rate)] = dwells.axes.ripple
-        shapes["ripple azimuth"] = np.kron(relative, np.ones((3, 3))) * np.outer(axis_rate, axis_rate)
-    return shapes | walks_of(rows.span)
+        shapes["ripple azimuth"] = np.kron(dwells.axes.ripple, np.ones((3, 3))) * np.outer(along, along)
+    return shapes | walks_of(dwells.span)
 
 
-def _turning(dwells: DwellMeans, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return the rate of each dwell in the two rows across its axis, and in the row along it, (E, 3) each, with 0 at rest."""
-    axis_rate, cross_rate = np.zeros((count, 3)), np.zeros((count, 3))
-    rotating = np.abs(axis_vectors(dwells.axis)) > 0.5
-    axis_rate[: len(rotating)] = np.where(rotating, dwells.turn_rate[:, None], 0.0)
-    cross_rate[: len(rotating)] = np.where(rotating, 0.0, dwells.turn_rate[:, None])
-    return cross_rate, axis_rate
+def _rate_across(dwells: DwellMeans) -> FloatArray:
+    """Return the rate of each dwell in the two rows across its axis, (3 N,), with 0 along it and at rest."""
+    return np.asarray(((1.0 - dwells.axis_b) * dwells.turn_rate[:, None]).ravel())
 
 
 # ---- findings
@@ -283,45 +232,30 @@ def axes_missing(turn_axes: Sequence[str], unit: str, cross_axis_prior: float) -
 # ---- false dwells: a rate stated with a wrong sign, value or axis
 #
 # One such dwell moves a least-squares fit, and an offset that may drift follows it. So before, each sensor is fitted by Huber's
-# weights, s = K w + b, with a separate b per recording. Dwell i reads e_i = K^-1 (s_i - s) beyond its rate. It is refused if |e_i|
-# is beyond 8 times the typical |e|, the median over the rows minus one for every parameter that the fit makes exact, and beyond
-# 2 % of the largest rate. The curvature of a sound sensor, its g-sensitivity, and the ripple of a table are smaller.
+# weights, s = K w + b. Dwell i reads e_i = K^-1 (s_i - s) beyond its rate. It is refused if |e_i| is beyond 8 times the typical
+# |e|, the median over the rows minus one for every parameter that the fit makes exact, and beyond 2 % of the largest rate. The
+# curvature of a sound sensor, its g-sensitivity, and the ripple of a table are smaller.
 
 SCATTERS = 8.0  # times the typical error, beyond the tails of noise, wobble or drift in a few tens of dwells
 SHARE = 0.02  # relative to the largest rate
 LEAST_SPARE = 4  # equations beyond the parameters of a sensor, so that a false dwell is recognisable
 
 
-def check_dwells(
-    dwells: DwellMeans,
-    rates: FloatArray,
-    *,
-    rests: RestMeans | None = None,
-    numbers: Sequence[int] = (),
-    recordings: Sequence[int] = (),
-) -> None:
-    """Raise if the reading of a dwell contradicts all the others at rates (N, 3), rad/s.
-
-    ``numbers`` and ``recordings`` (N,) are the turn and the recording of each dwell.
-    """
-    rows, count = _rows(dwells, rates, rests), len(rates)
-    recording = np.array([*recordings, *(still.recording for still in (rests.stills if rests else ()))])
-    offsets = recording[:, None] == np.unique(recording)
-    if len(recording) != len(rows.rate) or 2 * (3 + offsets.shape[1]) > len(recording):  # or nothing would be spare
-        offsets = np.ones((len(rows.rate), 1), dtype=np.bool_)
-    design = np.column_stack((rows.rate, offsets))
+def check_dwells(dwells: DwellMeans, rates: FloatArray, numbers: Sequence[int]) -> None:
+    """Raise if the reading of a dwell contradicts all the others at rates (N, 3), rad/s. Messages call dwells by ``numbers``."""
+    design = np.column_stack((rates, np.ones(len(rates))))
     if len(design) - design.shape[1] < LEAST_SPARE or np.linalg.matrix_rank(design) < design.shape[1]:
         return
-    theta = np.array([fit_huber(design, column)[0] for column in rows.reading.T])
+    theta = np.array([fit_huber(design, column)[0] for column in dwells.reading.T])
     if abs(np.linalg.det(theta[:, :3])) < 1e-6 * np.prod(np.linalg.norm(theta[:, :3], axis=1)):
         return  # two columns have the same readings, which the fit itself reports
-    residual_rate = (rows.reading - design @ theta.T) @ np.linalg.inv(theta[:, :3]).T
+    residual_rate = (dwells.reading - design @ theta.T) @ np.linalg.inv(theta[:, :3]).T
     error = np.linalg.norm(residual_rate, axis=1)
     typical = float(np.median(np.sort(error)[design.shape[1] :]))
     limit = max(SCATTERS * typical, SHARE * float(np.abs(rates).max()))
-    wrong = np.flatnonzero(error[:count] > limit)
+    wrong = np.flatnonzero(error[: len(numbers)] > limit)
     if len(wrong):
-        numbers, read = numbers or range(1, count + 1), (rates + residual_rate[:count]) / RADIAN_PER_DEGREE
+        read = (rates + residual_rate) / RADIAN_PER_DEGREE
         contradictions = "; ".join(
             f"turn {numbers[k]}, {dwells.axis[k]} at {dwells.turn_rate[k] / RADIAN_PER_DEGREE:+.4g} deg/s: reads as "
             f"({', '.join(f'{value:+.4g}' for value in read[k])})"
@@ -341,6 +275,7 @@ def calibrate_rates(observed: Observed, mode: str | None, accel: TriadFit | None
     """Fit the gyroscopes of a session to its turns at known rates."""
     session, settings, turns = observed.session, observed.settings, table_turns(observed.session.turns)
     dwells = dwell_means(session.records, turns, settle_s=settings.settle_s, cutoff_hz=settings.spline_cutoff_hz)
+    turn_axes = tuple(axis for axis in AXES if axis in dwells.axis)
     model = None if accel is None else accel.model
     axes = table_axes(
         session.records,
@@ -352,31 +287,23 @@ def calibrate_rates(observed: Observed, mode: str | None, accel: TriadFit | None
         gravity_m_s2=session.gravity_m_s2,
         settle_s=settings.settle_s,
     )
-    dwells, rests = replace(dwells, axes=axes), _rest_means(observed, turns, dwells, model)
-    check_dwells(
-        dwells,
-        imposed_rates(dwells, settings.latitude_deg),
-        rests=rests,
-        numbers=[k for k, turn in enumerate(session.turns, 1) if turn in turns],
-        recordings=[turn.recording for turn in turns],
-    )
-    turn_axes = tuple(axis for axis in AXES if axis in dwells.axis)
-    paper = mode == "paper" and len(turn_axes) == 3
-    pieces: list[Still | Turn] = [*turns, *(() if rests is None or paper else rests.stills)]
-    creep = creep_of(observed, pieces, "gyro")
-    findings = creep.findings()
-    if len(turn_axes) < 3:
-        findings = (*findings, axes_missing(turn_axes, dwells.unit, settings.cross_axis_prior))
-    offset = None
+    dwells = replace(dwells, axes=axes)
+    with_rests, rests = _join_rests(dwells, observed, turns, model)
+    numbers = [k for k, turn in enumerate(session.turns, 1) if turn in turns]
+    check_dwells(with_rests, imposed_rates(with_rests, settings.latitude_deg), numbers)
+    paper, offset = mode == "paper" and len(turn_axes) == 3, None
     if paper:
         offset, variance = observed.rest_rate()
         if np.isnan(offset).any():
             offset = np.asarray(dwells.reading.mean(axis=0))  # both signs of every rate cancel
             variance = np.full(3, np.nan) if dwells.noise is None else (dwells.noise**2).mean(axis=0) / len(dwells.axis)
-        dwells = replace(dwells, reading=dwells.reading - offset)
+    pieces: list[Still | Turn] = [*turns, *(() if paper else rests)]
+    creep = creep_of(observed, pieces, "gyro")
+    findings = creep.findings()
+    if len(turn_axes) < 3:
+        findings = (*findings, axes_missing(turn_axes, dwells.unit, settings.cross_axis_prior))
     fit = fit_rate_table(
-        dwells,
-        None if paper else rests,
+        with_rests if offset is None else replace(dwells, reading=dwells.reading - offset),
         mode="paper" if paper else "affine",
         latitude_deg=settings.latitude_deg,
         cross_axis_prior=settings.cross_axis_prior,
@@ -386,10 +313,10 @@ def calibrate_rates(observed: Observed, mode: str | None, accel: TriadFit | None
     return Outcome(fit=fit, method="rate-table", findings=findings)
 
 
-def _rest_means(
-    observed: Observed, turning: Sequence[Turn], dwells: DwellMeans, accel: TriadModel | None
-) -> RestMeans | None:
-    """Return readings at rest and specific forces, or None if a recording lacks a triad or there are no rests.
+def _join_rests(
+    dwells: DwellMeans, observed: Observed, turning: Sequence[Turn], accel: TriadModel | None
+) -> tuple[DwellMeans, list[Still]]:
+    """Return dwells and rests with their specific force, and the rests, or the dwells alone if a recording lacks a triad.
 
     Without accelerometers only rests on labelled faces count, with gravity along the face.
     """
@@ -400,24 +327,22 @@ def _rest_means(
     parts = [records[piece.recording].part(piece.start, piece.stop) for piece in pieces]
     windows = [np.asarray(stretch.gyro, float) for stretch in parts[len(turning) :]]
     no_accel = accel is not None and any(stretch.accel is None for stretch in parts)
-    if not windows or not turning or no_accel or any(np.isnan(window).any() for window in windows):
-        return None
+    if not windows or no_accel or any(np.isnan(window).any() for window in windows):
+        return dwells, []
     noise = noise_of_means(windows, [block_size(records[rest.recording].sample_rate_hz) for rest in rests])
     if noise is None:
-        return None
+        return dwells, []
     if accel is None:
         faces = [rest.face for rest in rests if rest.face is not None]
-        up = np.vstack((axis_vectors(dwells.axis) * dwells.up[:, None], face_vectors(faces)))
+        up = np.vstack((dwells.axis_b * dwells.up[:, None], face_vectors(faces)))
         force = up * observed.session.gravity_m_s2
     else:
         mean_force = np.array([np.nanmean(stretch.accel, axis=0) for stretch in parts if stretch.accel is not None])
         force = (mean_force - accel.offset) @ accel.matrix.T
-    return RestMeans(
-        dwell_force=force[: len(turning)],
-        reading=np.array([window.mean(axis=0) for window in windows]),
-        force=force[len(turning) :],
+    joined = dwells.with_rests(
+        np.array([window.mean(axis=0) for window in windows]),
         noise=np.hypot(noise, np.sqrt(dwells.codes)),
         span=spans_of(records, rests),
-        felt=accel is not None,
-        stills=tuple(rests),
+        force=force,
     )
+    return replace(joined, felt=accel is not None), rests

@@ -8,13 +8,13 @@ ripple of the rate and the Earth's horizontal rate average out.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
 from undrift.calibration.codes import code_steps, code_variance, mean_rounding, scatter_of_readings
-from undrift.calibration.plausibility import axis_vectors, check_range
+from undrift.calibration.plausibility import check_range
 from undrift.calibration.session import spans_of
 from undrift.errors import InputError
 from undrift.fit.gls import Prior, block_size, noise_of_means, solve
@@ -43,14 +43,23 @@ class TableAxes:
     rate: float  # relative standard uncertainty common to all given rates
     wobble: float  # standard uncertainty of the axis from dwell to dwell, rad
 
+    def with_rests(self, count: int) -> "TableAxes":
+        """Return the axes with as many rests after the dwells."""
+        return replace(
+            self,
+            direction=np.vstack((self.direction, np.zeros((count, 3)))),
+            columns=np.concatenate((self.columns, np.zeros((count, *self.columns.shape[1:])))),
+            ripple=np.pad(self.ripple, (0, count)),
+        )
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DwellMeans:
-    """Mean readings at steady rates."""
+    """Mean readings at steady rates, and at rest."""
 
     reading: FloatArray  # (N, 3), mean of each dwell, ``unit``
     turn_rate: FloatArray  # (N,), achieved rate about +axis, rad/s
-    axis: tuple[Axis, ...]  # axis of each dwell
+    axis: tuple[Axis | None, ...]  # axis of each dwell, None at rest
     noise: FloatArray | None = None  # (N, 3), standard deviation of each mean, or None if unknown
     # (N,), 1 if +axis points up, -1 if it points down, 0 if it is not vertical (default 1)
     up: FloatArray = field(default_factory=lambda: np.ones(1))
@@ -60,6 +69,8 @@ class DwellMeans:
     step: FloatArray = field(default_factory=lambda: np.zeros(3))
     codes: FloatArray = field(default_factory=lambda: np.zeros(3))
     axes: TableAxes | None = None  # axes of the case about which the table turned, or None if ``axis`` is exact
+    force: FloatArray | None = None  # (N, 3), specific force, from accelerometers or along the labelled faces, m/s2
+    felt: bool = True  # False without accelerometers: a g-sensitivity is then fitted, but cannot be corrected
 
     def __post_init__(self) -> None:
         n = len(self.axis)
@@ -68,6 +79,28 @@ class DwellMeans:
                 f"dwells: expected readings (N, 3) and rates (N,) for {n} axes, got {self.reading.shape} and "
                 f"{self.turn_rate.shape}"
             )
+
+    @property
+    def axis_b(self) -> FloatArray:
+        """Axis of each dwell in the case, (N, 3), 0 at rest."""
+        return np.array([np.zeros(3) if axis is None else np.eye(3)[AXES.index(axis)] for axis in self.axis])
+
+    def with_rests(
+        self, reading: FloatArray, *, noise: FloatArray, span: FloatArray, force: FloatArray
+    ) -> "DwellMeans":
+        """Return the dwells with rests (P, 3) after them, and the specific force (N + P, 3) of both."""
+        zero = np.zeros(len(reading))
+        return replace(
+            self,
+            reading=np.vstack((self.reading, reading)),
+            turn_rate=np.append(self.turn_rate, zero),
+            axis=(*self.axis, *[None] * len(reading)),
+            noise=None if self.noise is None else np.vstack((self.noise, noise)),
+            up=np.append(np.broadcast_to(self.up, len(self.axis)), zero),
+            span=None if self.span is None else np.vstack((self.span, span)),
+            axes=None if self.axes is None else self.axes.with_rests(len(reading)),
+            force=force,
+        )
 
 
 def table_turns(turns: Sequence[Turn]) -> list[Turn]:
@@ -164,7 +197,7 @@ def _points_up(stretch: Record, axis: int) -> float:
 def imposed_rates(dwells: DwellMeans, latitude_deg: float | None) -> FloatArray:
     """Return the true rate of each dwell in b (N, 3), rad/s: L of eq. 4, transposed."""
     earth = 0.0 if latitude_deg is None else EARTH_RATE * np.sin(latitude_deg * RADIAN_PER_DEGREE)
-    axis_b = axis_vectors(dwells.axis) if dwells.axes is None else dwells.axes.direction
+    axis_b = dwells.axis_b if dwells.axes is None else dwells.axes.direction
     return np.asarray(axis_b * (dwells.turn_rate + earth * dwells.up)[:, None])
 
 
