@@ -41,7 +41,7 @@ from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.gls import GlsFit, block_size, noise_of_means, solve_inverse
 from undrift.fit.priors import ACCEL_FLICKER
-from undrift.fit.triad import TriadFit, first_matrix, fit_of, fit_paper, parameters_of, scaled_condition
+from undrift.fit.triad import TriadFit, first_matrix, fit_of, fit_paper, parameters_of
 from undrift.model import Verdict
 from undrift.record import Face, Record, Still
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
@@ -69,19 +69,10 @@ class FaceMeans:
     placement: IntArray | None = None  # (P,), number of the placement of each pose, or None if every pose has its own
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SixFaceFit(TriadFit):
-    """A triad fitted to six faces."""
-
-    # standard deviation of the faces' tilt about each horizontal axis, rad, or NaN if unknown
-    tilt: float = float("nan")
-
-
-def fit_six_face(poses: FaceMeans, *, gravity: float, mode: SixFaceMode = "affine") -> SixFaceFit:
+def fit_six_face(poses: FaceMeans, *, gravity: float, mode: SixFaceMode = "affine") -> TriadFit:
     """Fit accelerometers to mean readings of their faces."""
-    _check(poses, gravity, mode)
-    inputs, gls = gravity * face_vectors(poses.faces), _solve(poses, gravity)
-    tilt = float(np.sqrt(gls.excess.get("level", np.nan)))
+    inputs, gls = gravity * face_vectors(poses.faces), solve_faces(poses, gravity, mode)
+    tilt = gls.excess.get("level", 0.0) ** 0.5
     names: dict[str, Any] = {"method": f"six-face/{mode}", "unit_in": poses.unit, "unit_out": "m/s2"}
     findings = list[Finding]()
     if poses.rounding is not None and poses.noise is not None:
@@ -92,20 +83,13 @@ def fit_six_face(poses: FaceMeans, *, gravity: float, mode: SixFaceMode = "affin
         fit = fit_paper(inputs, poses.reading, gls, **names)
     else:
         fit = fit_of(parameters_of(gls), inputs, -gls.residuals.reshape(-1, 3), **names)
-    return SixFaceFit(
-        model=fit.model, residuals=fit.residuals, verdict=fit.verdict.also(Verdict.of(*findings)), tilt=tilt
-    )
+    return replace(fit, verdict=fit.verdict.also(Verdict.of(*findings)))
 
 
-def _solve(poses: FaceMeans, gravity: float) -> GlsFit:
-    """Return the fit of M and c, and the covariances of its rows, (m/s2)^2."""
+def solve_faces(poses: FaceMeans, gravity: float, mode: SixFaceMode = "affine") -> GlsFit:
+    """Return the fit of M and c, and the covariances of its rows, (m/s2)^2. Its excess ``level`` is the variance of the tilt."""
+    _check(poses, gravity, mode)
     up = face_vectors(poses.faces)
-    rank, _ = scaled_condition(np.column_stack((up, np.ones(len(up)))))
-    if rank < 4:
-        raise NotObservable(
-            f"six faces: expected faces that span three axes and both signs, got rank {rank} of 4. Record the missing faces.",
-            rank=rank,
-        )
     inputs, identity = gravity * up, np.eye(len(up))[:, :, None]
     matrix, floor = first_matrix(inputs, poses.reading), MIN_NOISE * float(np.abs(poses.reading).max())
     noise = np.zeros(poses.reading.shape) if poses.noise is None else poses.noise
@@ -217,12 +201,12 @@ def calibrate_faces(observed: Observed, mode: str | None, accel: TriadFit | None
         findings = (*findings, finding("six_face.short_faces", "warn"))
     if paper:
         # The mean over the six faces, each counted once, is an estimate of the offset, because opposite faces cancel.
-        faces, rows = np.array(poses.faces), _solve(poses, gravity)
+        faces, rows = np.array(poses.faces), solve_faces(poses, gravity, "paper")
         share = np.array([1.0 / (faces == face).sum() for face in faces]) / len(set(poses.faces))
         mean = np.kron(share, np.linalg.inv(rows.theta[:9].reshape(3, 3)))
         variance, offset = np.diag(mean @ np.sum([*rows.sources.values()], axis=0) @ mean.T), share @ poses.reading
         poses = replace(poses, reading=poses.reading - offset)
-    fit: TriadFit = fit_six_face(poses, gravity=gravity, mode="paper" if paper else "affine")
+    fit = fit_six_face(poses, gravity=gravity, mode="paper" if paper else "affine")
     check_own_scale(fit.model.scale_factor, poses.unit, "accel", SCALE_TOLERANCE, "accelerometer")
     if offset is not None:
         fit = with_offset(fit, offset, variance)
@@ -237,13 +221,11 @@ def _placements(observed: Observed) -> tuple[tuple[Still, ...], IntArray]:
     """
     turns = [turn for turn in observed.session.turns if turn.turn_rate is not None]
     table = mountings([*observed.stills, *turns])[: len(observed.stills)]
-    number, placement = 0, list[int]()
-    for n, still in enumerate(observed.stills):
-        before = observed.stills[n - 1]
-        number += n == 0 or (before.face, before.recording) != (still.face, still.recording)
-        placement.append(number if table[n] < 0 else -1 - int(table[n]))
+    faces = [(still.face, still.recording) for still in observed.stills]
+    changes = [n > 0 and faces[n] != faces[n - 1] for n in range(len(faces))]
+    placement = np.where(table < 0, np.cumsum(changes), -1 - table)
     used = [n for n, still in enumerate(observed.stills) if still.face is not None]
     plate = [n for n in used if table[n] < 0]
     if not missing_faces([face for n in plate if (face := observed.stills[n].face) is not None]):
         used = plate
-    return tuple(observed.stills[n] for n in used), np.array(placement, int)[used]
+    return tuple(observed.stills[n] for n in used), placement[used]
