@@ -17,8 +17,8 @@ import numpy as np
 
 from undrift.arrays import FloatArray, runs
 from undrift.errors import AlignmentError, FileFormatError, InputError
-from undrift.io.column_map import TextLayout
-from undrift.io.text import open_text, parse_text
+from undrift.io.guess import sniff
+from undrift.io.text import parse_text
 from undrift.model import AXES
 from undrift.record import Record, Turn
 from undrift.sync import LONGEST_STEP, LagLine, LagSettings, PoseRates, coarse_lag, lag_line
@@ -62,11 +62,7 @@ class LoggedTurn:
 
 def read_rate_log(path: str | Path) -> RateLog:
     """Read a log with a header, a column of TIMES, and one of RATES or ANGLES, separated by comma, semicolon or tab."""
-    first, *rows = open_text(path).head.splitlines()
-    delimiter = max(",;\t", key=first.decode("utf-8", "replace").count)
-    decimal = "," if delimiter == ";" and b"," in rows[0] else "."
-    text = open_text(path, TextLayout(delimiter=delimiter, decimal=decimal))
-    values = RATES | ANGLES
+    text, values = sniff(path), RATES | ANGLES
     times, rates = ([name for name in text.names if name.strip() in table] for table in (TIMES, values))
     if len(times) != 1 or len(rates) != 1:
         raise FileFormatError(

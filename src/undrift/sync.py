@@ -42,10 +42,9 @@ class PoseRates:
     rate: FloatArray  # (K, 3), mean rate, rad/s, frame of the body, with zeros for invalid rows
     valid: BoolArray  # (K,), false if a pose is missing or the step is a gap
 
-    def part(self, rows: IntArray | BoolArray | slice, later_s: float = 0.0) -> "PoseRates":
-        """Return some of the rates, on a clock that is ahead by ``later_s``."""
-        start, stop = self.start[rows] + later_s, self.stop[rows] + later_s
-        return PoseRates(start=start, stop=stop, rate=self.rate[rows], valid=self.valid[rows])
+    def part(self, rows: IntArray | BoolArray) -> "PoseRates":
+        """Return some of the rates."""
+        return PoseRates(start=self.start[rows], stop=self.stop[rows], rate=self.rate[rows], valid=self.valid[rows])
 
 
 def pose_rates(reference: Reference) -> PoseRates:
@@ -352,7 +351,6 @@ class LagLine:
     lag_uncertainty_s: float  # standard, at ``middle_s``
     skew_uncertainty: float  # standard uncertainty, or infinity if only one part has a lag
     off_s: FloatArray  # (P,), lags minus the line
-    correlation: float  # least of the parts
 
     def later(self, time: float) -> float:
         """Return the time on the clock of the record at a time of the reference."""
@@ -393,7 +391,6 @@ def lag_line(
         middle_s=middle, lag_s=lag_s, skew=skew, off_s=residual,
         lag_uncertainty_s=float(np.sqrt(spread / weight.sum())),
         skew_uncertainty=float(np.sqrt(spread / square)) if len(lags) > 1 else float("inf"),
-        correlation=min(lag.correlation for lag in lags),
     )  # fmt: skip
 
 

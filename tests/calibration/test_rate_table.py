@@ -233,10 +233,6 @@ def test_dwells_that_cannot_be_averaged_are_refused():
     other = Record(time=made.time, gyro=made.gyro, gyro_unit="dps")
     with pytest.raises(InputError, match=r"readings in rad/s .* got dps in recording 1"):
         dwell_means([made, other], [turns[0], replace(turns[1], recording=1)])
-    with pytest.raises(
-        InputError, match=r"expected readings \(N, 3\) and rates \(N,\) for 2 axes, got \(3, 3\) and \(2,\)"
-    ):
-        DwellMeans(reading=np.ones((3, 3)), turn_rate=np.ones(2), axis=("x", "y"))
 
 
 def test_noise_of_means_shrinks_with_the_window_and_needs_blocks():

@@ -103,11 +103,6 @@ def test_one_missing_face_is_allowed_and_named():
         fit_six_face(FaceMeans(reading=poses.reading[:4], faces=FACES[:4]), gravity=G)
 
 
-def test_readings_and_labels_must_be_as_many():
-    with pytest.raises(InputError, match=r"expected one reading \(3,\) for each of 6 faces, got \(5, 3\)"):
-        fit_six_face(FaceMeans(reading=np.ones((5, 3)), faces=FACES), gravity=G)
-
-
 def test_counts_give_their_scale():
     counts = faces(unit="count", scale=208.8)
     fit = fit_six_face(counts, gravity=G)

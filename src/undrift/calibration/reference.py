@@ -256,7 +256,6 @@ class _Parameters:
     local: FloatArray  # (R, 18, P), maps the parameters to M, d, c and rotation of the mounting in each recording
     offsets: FloatArray  # (R, 3), o, raw unit
     mountings: FloatArray  # (R, 4), rotation from the mean body to the body of each recording
-    nominal: FloatArray  # (3, 3), rad/s per raw unit: rotation from the readings to the mean body, times the factor of the unit
 
     @property
     def free(self) -> IntArray:
@@ -363,7 +362,6 @@ def _start(
         local=local,
         offsets=offsets,
         mountings=mountings.as_quat(scalar_first=True),
-        nominal=nominal,
     )
 
 
@@ -446,7 +444,9 @@ def _result(
         triad=TriadFit(
             model=model,
             residuals=solution.residuals,
-            verdict=Verdict.of(*_findings(model, parameters.nominal, [r.rest for r in rested]), *findings),
+            verdict=Verdict.of(
+                *_findings(model, parameters.expected[:9].reshape(3, 3), [r.rest for r in rested]), *findings
+            ),
         ),
         motion_offset=motion_offset,
         rest_offsets=np.array([r.rest for r in recordings]),

@@ -164,10 +164,6 @@ def polynomial_filter(values: FloatArray, degree: int) -> tuple[FloatArray, Floa
 
 
 def _check(poses: FaceMeans, gravity: float, mode: SixFaceMode) -> None:
-    if poses.reading.shape != (len(poses.faces), 3):
-        raise InputError(
-            f"six faces: expected one reading (3,) for each of {len(poses.faces)} faces, got {poses.reading.shape}"
-        )
     if len(poses.faces) < 5:
         count = len(poses.faces)
         raise NotObservable(

@@ -43,15 +43,6 @@ class TableAxes:
     rate: float  # relative standard uncertainty common to all given rates
     wobble: float  # standard uncertainty of the axis from dwell to dwell, rad
 
-    def with_rests(self, count: int) -> "TableAxes":
-        """Return the axes with as many rests after the dwells."""
-        return replace(
-            self,
-            direction=np.vstack((self.direction, np.zeros((count, 3)))),
-            columns=np.concatenate((self.columns, np.zeros((count, *self.columns.shape[1:])))),
-            ripple=np.pad(self.ripple, (0, count)),
-        )
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DwellMeans:
@@ -72,14 +63,6 @@ class DwellMeans:
     force: FloatArray | None = None  # (N, 3), specific force, from accelerometers or along the labelled faces, m/s2
     felt: bool = True  # False without accelerometers: a g-sensitivity is then fitted, but cannot be corrected
 
-    def __post_init__(self) -> None:
-        n = len(self.axis)
-        if self.reading.shape != (n, 3) or self.turn_rate.shape != (n,):
-            raise InputError(
-                f"dwells: expected readings (N, 3) and rates (N,) for {n} axes, got {self.reading.shape} and "
-                f"{self.turn_rate.shape}"
-            )
-
     @property
     def axis_b(self) -> FloatArray:
         """Axis of each dwell in the case, (N, 3), 0 at rest."""
@@ -89,16 +72,23 @@ class DwellMeans:
         self, reading: FloatArray, *, noise: FloatArray, span: FloatArray, force: FloatArray
     ) -> "DwellMeans":
         """Return the dwells with rests (P, 3) after them, and the specific force (N + P, 3) of both."""
-        zero = np.zeros(len(reading))
+        count, axes = len(reading), self.axes
+        if axes is not None:
+            axes = replace(
+                axes,
+                direction=np.pad(axes.direction, ((0, count), (0, 0))),
+                columns=np.pad(axes.columns, ((0, count), (0, 0), (0, 0))),
+                ripple=np.pad(axes.ripple, (0, count)),
+            )
         return replace(
             self,
             reading=np.vstack((self.reading, reading)),
-            turn_rate=np.append(self.turn_rate, zero),
-            axis=(*self.axis, *[None] * len(reading)),
+            turn_rate=np.pad(self.turn_rate, (0, count)),
+            axis=(*self.axis, *[None] * count),
             noise=None if self.noise is None else np.vstack((self.noise, noise)),
-            up=np.append(np.broadcast_to(self.up, len(self.axis)), zero),
+            up=np.pad(np.broadcast_to(self.up, len(self.axis)), (0, count)),
             span=None if self.span is None else np.vstack((self.span, span)),
-            axes=None if self.axes is None else self.axes.with_rests(len(reading)),
+            axes=axes,
             force=force,
         )
 

@@ -235,7 +235,6 @@ def _turns_of_log(session: "Session", path: Path, settings: "CalibrateSettings")
                 "offset_uncertainty_s": line.lag_uncertainty_s,
                 "drift": line.skew,
                 "drift_uncertainty": line.skew_uncertainty,
-                "correlation": line.correlation,
             }
             for line in lines
         ],
