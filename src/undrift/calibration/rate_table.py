@@ -253,8 +253,8 @@ def check_dwells(dwells: DwellMeans, rates: FloatArray, numbers: Sequence[int]) 
     error = np.linalg.norm(residual_rate, axis=1)
     typical = float(np.median(np.sort(error)[design.shape[1] :]))
     limit = max(SCATTERS * typical, SHARE * float(np.abs(rates).max()))
-    wrong = np.flatnonzero(error[: len(numbers)] > limit)
-    if len(wrong):
+    wrong: list[int] = np.flatnonzero(error[: len(numbers)] > limit).tolist()
+    if wrong:
         read = (rates + residual_rate) / RADIAN_PER_DEGREE
         contradictions = "; ".join(
             f"turn {numbers[k]}, {dwells.axis[k]} at {dwells.turn_rate[k] / RADIAN_PER_DEGREE:+.4g} deg/s: reads as "

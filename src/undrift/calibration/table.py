@@ -251,7 +251,7 @@ def table_axes(
     up, direction, columns = np.broadcast_to(dwells.up, count), np.eye(3)[axis], list[FloatArray]()
     azimuths, accel_columns = _azimuths(records, turns, mounting, dwells), np.zeros((count, 3, 12))
     for number in np.unique(mounting):
-        rows = np.flatnonzero(mounting == number)
+        rows: list[int] = np.flatnonzero(mounting == number).tolist()
         k, gravity = int(axis[rows[0]]), float(gravity_m_s2 * up[rows].mean())
         level_axes = [(k + 1) % 3, (k + 2) % 3]
         place, root = np.ix_(rows, level_axes), table.mount_tilt_deg * RADIAN_PER_DEGREE * np.eye(2)

@@ -27,7 +27,6 @@ import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
 from undrift.calibration.codes import code_steps, code_variance, restored
-from undrift.calibration.plausibility import axis_vectors
 from undrift.calibration.table import dwell_means
 from undrift.errors import InputError, NotObservable
 from undrift.findings import finding
@@ -294,7 +293,7 @@ def session_steps(session: Session, temps: Sequence[FloatArray]) -> list[RateSte
             soak=_soaks(temp_c),
             time=np.zeros(len(turns)) if dwells.span is None else dwells.span.mean(axis=1),
             temp_c=temp_c,
-            rate_b=axis_vectors(dwells.axis) * dwells.turn_rate[:, None],
+            rate_b=dwells.axis_b * dwells.turn_rate[:, None],
             gyro=dwells.reading,
             accel=accel,
             gyro_variance=np.full(accel.shape, np.nan) if dwells.noise is None else dwells.noise**2,
