@@ -172,7 +172,7 @@ def test_nothing_to_fit_is_an_error_that_says_what_to_record():
 def test_a_quarter_of_gravity_is_caught_before_anything_is_fitted():
     record = still_record()
     session = Session(kind="static", serial="", gravity_m_s2=9.81, records=(replace(record, accel=record.accel / 4.0),))
-    with pytest.raises(Implausible, match=r"median of 0\.25 g"):
+    with pytest.raises(Implausible, match=r"\(0\.250 g\)"):
         calibrate(session)
 
 

@@ -10,7 +10,7 @@ from testkit.data import data_path
 from testkit.findings import only
 from testkit.strategies import one_line
 from undrift.calibration.calibrate import calibrate
-from undrift.calibration.quality import check_stills, check_turns
+from undrift.calibration.quality import check_turns
 from undrift.calibration.session import observe
 from undrift.calibration.settings import CalibrateSettings
 from undrift.errors import Implausible, InputError
@@ -96,8 +96,6 @@ def test_a_slow_turn_about_the_vertical_shows_in_the_mean_rate_alone():
         observe(turning, CalibrateSettings())
     thermal = replace(turning, kind="thermal")  # offsets differ between temperatures, and that is what it records
     assert observe(thermal, CalibrateSettings()).findings == ()
-    stills = tuple(replace(s, temp_c=20.0 + 10.0 * k) for k, s in enumerate(session.stills))
-    assert check_stills(replace(turning, stills=stills), stills, listed=True) == ()
 
 
 def test_a_recording_in_the_wrong_unit_is_refused_among_found_stills():

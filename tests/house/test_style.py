@@ -233,7 +233,6 @@ def test_a_stage_that_a_page_may_import_is_a_type_of_what_it_shows() -> None:
     }
     print(f"  imports of stages in cli, web and report: {len(arrows)}, at run time {len(arrows & at_run_time)}")
     assert arrows & at_run_time == {
-        ("undrift.report.calibration", "undrift.calibration.expanded"),
         ("undrift.report.figures", "undrift.io.inspect"),
     }
     assert len(arrows) <= 16

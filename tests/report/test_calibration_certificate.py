@@ -12,9 +12,9 @@ from testkit.data import show
 from testkit.full_calibration import with_magnetometer
 from testkit.plain_triad import plain_triad
 from undrift.calibration.calibrate import calibrate
-from undrift.calibration.expanded import block_of, coverage_factors, expand
 from undrift.commands.answer import two_digits
 from undrift.commands.certificate import SOURCE_ROWS, certificate_content, rounded
+from undrift.commands.expanded import block_of, coverage_factors, expand
 from undrift.errors import InputError
 from undrift.io.store import calibration_text, content_hash, read_calibration, write_calibration
 from undrift.model import SOURCES, Budget, Calibration

@@ -13,11 +13,11 @@ from testkit.pages import CORNERS, SCHEMES, WIDTHS, browser, faults_of, seen_in
 from testkit.pictures import pictures_looked_at
 from testkit.remembered import folder_made_once, run_folder
 from undrift.base.summary import Origin
-from undrift.calibration.pieces import pieces_of
 from undrift.calibration.session import look
 from undrift.calibration.settings import CalibrateSettings
 from undrift.cli.app import run
 from undrift.commands.calibrate import judge_pieces, leverages
+from undrift.commands.pieces import pieces_of
 from undrift.commands.rig import Ran
 from undrift.io.formats import write_record
 from undrift.io.reference import write_reference

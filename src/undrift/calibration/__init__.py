@@ -14,8 +14,7 @@ Out: a ``Calibration`` with a TriadModel for each triad, the rounding of the ADC
     noise                        Allan variance of a device at rest
     quality, plausibility        still rests and steady turns, implausible results
     triads                       agreement of gyroscopes and accelerometers on one motion
-    pieces                       contents of recordings, and why they were used or not
-    settings, expanded           settings of a fit, expanded uncertainty of its parameters
+    settings                     settings of a fit
 
 All procedures share one method. They compute means over rests and turns, and the errors of these means by source. Least squares
 weights the means with these errors. The findings of the verdict name the parameters that were not observable.

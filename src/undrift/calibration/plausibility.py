@@ -227,15 +227,15 @@ def check_faces(means: FloatArray, faces: Sequence[Face]) -> None:
     )
 
 
-def check_gravity(means: FloatArray, gravity: float, *, factor: float = 1.6) -> None:
-    """Raise if the length of the specific force at rest, means (P, 3) in m/s2, cannot be gravity."""
-    lengths = np.linalg.norm(means, axis=1) / gravity
-    ratio = float(np.median(lengths))
+def check_gravity(force: FloatArray, gravity: float, *, factor: float = 1.6, cause: str = "") -> None:
+    """Raise if the median length of specific forces (P, 3), m/s2, cannot be gravity. ``cause`` replaces the likely cause."""
+    lengths = np.linalg.norm(force, axis=1) / gravity
+    ratio = float(np.nanmedian(lengths))
     if not 1.0 / factor <= ratio <= factor:
-        cause = force_words(ratio, float(lengths.std())) or _times(ratio)
         raise Implausible(
-            f"accelerometer at rest: expected gravity, {gravity:.4g} m/s2, got {ratio * gravity:.4g} m/s2 ({ratio:.3f} g): "
-            f"{cause}. Check the unit of the columns, the range setting, and that no other quantity is mapped as accelerometer.",
+            f"accelerometer: expected gravity, {gravity:.4g} m/s2, got {ratio * gravity:.4g} m/s2 ({ratio:.3f} g): "
+            f"{cause or force_words(ratio, float(np.nanstd(lengths))) or _times(ratio)}. Check the range setting, and correct the "
+            "columns or their unit in the file for `column_map` (units = { accel = ... }).",
             ratio=ratio,
         )
 

@@ -25,7 +25,6 @@ from undrift.calibration.codes import code_steps, mean_rounding
 from undrift.calibration.plausibility import stuck_windows
 from undrift.errors import Implausible, InputError
 from undrift.findings import Finding, Level, finding, told_apart
-from undrift.fit.gls import block_size, noise_of_means
 from undrift.model import AXES, TriadModel
 from undrift.record import Session, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
@@ -33,7 +32,6 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_f
 ACCEL_SWAY = 0.05  # m/s2: a steady tilt by 1 deg from start to end
 REFUSED_RATIO = 3.0  # ratio of a figure to its limit from which the session is refused
 COUNTS_RATIO = 10.0  # a still in counts may spread this many times the median of all stills
-WARMED_K = 10.0  # between stills: offsets may then differ
 SAME_TEMPERATURE_K = 3.0
 SMOOTH_S = 0.1
 
@@ -117,9 +115,8 @@ def _sway(session: Session, stills: tuple[Still, ...], triad: Literal["gyro", "a
 
 
 def _rates(session: Session, stills: tuple[Still, ...]) -> Iterator[Fault]:
-    unit, temps = session.records[0].gyro_unit, piece_temperatures(session, stills)
-    warmed = np.isfinite(temps).any() and float(np.nanmax(temps) - np.nanmin(temps)) > WARMED_K
-    if len(stills) < 3 or not is_physical(unit) or session.kind == "thermal" or warmed:
+    unit = session.records[0].gyro_unit
+    if len(stills) < 3 or not is_physical(unit) or session.kind == "thermal":
         return
     means = np.array([mean_reading(session.records[s.recording].gyro, s.start, s.stop) for s in stills])
     if np.isfinite(means).any():
@@ -196,15 +193,13 @@ def _smooth_rate(session: Session, stills: tuple[Still, ...], turn: Turn, settle
         return np.empty(0)
     axis = AXES.index(turn.axis)
     column = record.gyro[:, axis]
-    if len(column) > 1 and np.isfinite(column).all() and not np.ptp(column):
+    if not np.ptp(column[np.isfinite(column)]):
         raise Implausible(
             f"gyroscope {turn.axis}: it reads {column[0]:g} throughout, also while the device turns about {turn.axis}: the sensor "
             "is dead, or another column is mapped. Check the map and the device."
         )
-    width, readings = (
-        max(1, round(SMOOTH_S * record.sample_rate_hz)),
-        _discard_settling(session, turn, settle_s)[:, axis],
-    )
+    width = max(1, round(SMOOTH_S * record.sample_rate_hz))
+    readings = _discard_settling(session, turn, settle_s)[:, axis]
     if not rests or len(readings) < 2 * width or np.isnan(readings).any():
         return np.empty(0)
     rate = np.convolve(readings, np.full(width, 1.0 / width), mode="valid")
@@ -219,7 +214,7 @@ def _smooth_rate(session: Session, stills: tuple[Still, ...], turn: Turn, settle
 # s_p^2 = (M' n)' S_p (M' n) + J_p C J_p'   n = f / |f|, J = d|f| / d(M, o), covariance C of the fit
 #
 # Six stills that are not faces may fit twelve parameters well, for example poses of a sheared cube. Other poses then miss
-# gravity, even without a known direction. S_p contains the noise of the mean by blocks and the converter's step.
+# gravity, even without a known direction. S_p contains the noise of the mean and the converter's step.
 
 LARGEST_ANGLE_DEG = 5.0  # largest angle between a sensor and its axis of the case (parts and boards: 1 to 3)
 WARN_MISS, FAIL_MISS = 3e-3 * STANDARD_GRAVITY, 20e-3 * STANDARD_GRAVITY  # m/s2 rms
@@ -243,8 +238,7 @@ def check_accel(session: Session, model: TriadModel, unused: Sequence[Still]) ->
     if not stills:
         return
     white = np.array([window.std(axis=0) / np.sqrt(len(window)) for window in windows])
-    blocks = noise_of_means(windows, [block_size(session.records[still.recording].sample_rate_hz) for still in stills])
-    noise = np.hypot(white if blocks is None else np.maximum(white, blocks), mean_rounding(windows, windows))
+    noise = np.hypot(white, mean_rounding(windows, windows))
     deviation = np.array([window.mean(axis=0) for window in windows]) - model.offset
     force = deviation @ model.matrix.T
     direction = force / np.linalg.norm(force, axis=1)[:, None]

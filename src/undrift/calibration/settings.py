@@ -13,16 +13,6 @@ AccelFit = Literal["six-face", "multi-position"]
 GyroFit = Literal["rate-table", "known-rotation", "multi-position", "rest", "none"]
 Mode = Literal["paper", "affine"]
 
-METHODS = {  # a method's name and its description on a certificate
-    "six-face": "six faces against gravity",
-    "rate-table": "steady rates of a rate table, about each axis",
-    "known-rotation": "turns by a known angle about each axis",
-    "multi-position": "rests in free poses against the size of gravity",
-    "rest": "rests only: the offset is measured, the scale factor is nominal",
-    "reference": "motion against an orientation reference",
-    "motion": "gravity in free motion, nothing else",
-}
-
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrateSettings:

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration.plausibility import accel_order, cause_by_gravity, columns_to_mend, force_words, order_text
+from undrift.calibration.plausibility import accel_order, cause_by_gravity, check_gravity, columns_to_mend, order_text
 from undrift.errors import Implausible
 from undrift.findings import Finding, finding
 from undrift.frames import rotate
@@ -54,7 +54,7 @@ UNITS = {
     RADIAN_PER_DEGREE: "gyroscope is in deg/s, not rad/s",
     1.0 / RADIAN_PER_DEGREE: "gyroscope is in rad/s, not deg/s",
 }
-FORCE_RANGE = (1.0 / 3.0, 3.0)  # g: no motion keeps the median outside, nor an offset
+FORCE_FACTOR = 3.0  # no motion keeps the median of the specific force farther from gravity, nor an offset
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -131,24 +131,15 @@ def check_agreement(record: Record) -> tuple[Finding, ...]:
 
 def check_force(record: Record) -> None:
     """Refuse specific forces that no motion explains: another unit, another column, or gravity removed."""
-    if record.accel is None or not is_physical(record.accel_unit):
+    if record.accel is None or not is_physical(record.accel_unit) or not np.isfinite(record.accel).any():
         return
-    lengths = np.linalg.norm(record.accel, axis=1) * si_factor(record.accel_unit, "accel") / STANDARD_GRAVITY
-    median = float(np.nanmedian(lengths)) if np.isfinite(lengths).any() else 1.0
-    if FORCE_RANGE[0] <= median <= FORCE_RANGE[1]:
-        return
-    cause = force_words(median, float(np.nanstd(lengths)))
-    cause = cause or "acceleration is in another unit, or another column is mapped as accelerometer"
-    if record.gyro is not None and np.isfinite(record.gyro).all(axis=1).any():
+    cause = ""
+    if record.gyro is not None and np.isfinite(record.gyro).any():
         rate = float(np.nanmedian(np.linalg.norm(record.gyro, axis=1)))
         if any(abs(rate / size - 1.0) < 0.1 for size in (1.0, STANDARD_GRAVITY)):
             cause = "gyroscope and accelerometer columns are exchanged"
-    raise Implausible(
-        f"accelerometer: expected a specific force of about 1 g, got a median of {median:.3g} g: {cause}. Correct the columns, or "
-        "give their true unit in their names or in the file for `column_map` (units = { accel = ... }).",
-        mistake=cause,
-        median_g=median,
-    )
+    force = record.accel * si_factor(record.accel_unit, "accel")
+    check_gravity(force, STANDARD_GRAVITY, factor=FORCE_FACTOR, cause=cause)
 
 
 def find_disagreement(record: Record) -> Finding | None:
@@ -173,7 +164,7 @@ def _disagreement(record: Record, unit_s: float) -> Finding | None:
     longest = np.linalg.norm(windows.force, axis=2).mean(axis=1) ** 2
     if float((longest - unchanged).mean()) < max(MIN_GAIN, SIGMAS * MIN_SCATTER / np.sqrt(len(unchanged))):
         return None
-    mistakes = _time_mistake(windows, unit_s) if unit_s != 1.0 else _mistakes(windows, record)
+    mistakes = list(_mistakes(windows, record)) if unit_s == 1.0 else [_time_mistake(windows, unit_s)]
     mistake = max(mistakes, key=lambda mistake: float(mistake.kept.mean()), default=None)
     if mistake is None:
         return None
@@ -214,11 +205,11 @@ class Mistake:
     turned_ratio: float = 0.0  # declared rotation over rotation from gravity, or 0 if axes or time are wrong
 
 
-def _time_mistake(windows: _Windows, unit_s: float) -> Iterator[Mistake]:
+def _time_mistake(windows: _Windows, unit_s: float) -> Mistake:
     name = TIME_UNITS[round(abs(math.log10(unit_s)))]
     text = f"time is in {name}, not seconds" if unit_s < 1.0 else f"time is in seconds, not {name}"
     action = "correct the unit of time in the map or the column's name"
-    yield Mistake(text=text, action=action, kept=windows.kept(np.eye(3), 1.0))
+    return Mistake(text=text, action=action, kept=windows.kept(np.eye(3), 1.0))
 
 
 def _mistakes(windows: _Windows, record: Record) -> Iterator[Mistake]:

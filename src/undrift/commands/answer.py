@@ -6,7 +6,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.base.summary import Section
-from undrift.calibration.expanded import COVERAGE, expand, gravity_uncertainty
+from undrift.commands.expanded import COVERAGE, expand, gravity_uncertainty
 from undrift.correction.rest import IN_MOTION, moved_by
 from undrift.model import Calibration, TriadModel
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical

@@ -28,9 +28,9 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, is_phys
 if TYPE_CHECKING:
     from undrift.arrays import FloatArray
     from undrift.calibration.in_motion import InMotion
-    from undrift.calibration.pieces import Piece
     from undrift.calibration.session import Observed
     from undrift.calibration.settings import CalibrateSettings
+    from undrift.commands.pieces import Piece
     from undrift.model import Calibration, TriadModel
     from undrift.record import Record, Session
 
@@ -68,7 +68,7 @@ class Calibrated(Result):
     @cached_property
     def pieces(self) -> "tuple[Piece, ...]":
         """Return the phases of the session, with the reason for each unused phase."""
-        from undrift.calibration.pieces import pieces_of
+        from undrift.commands.pieces import pieces_of
 
         if self.seen is None:
             return ()

@@ -18,8 +18,6 @@ import numpy as np
 from undrift import __version__
 from undrift.base.options import Output, options, verb
 from undrift.base.summary import Result, Section, Summary, at, figure_of, rows_section
-from undrift.calibration.expanded import COVERAGE, ParameterTable, block_of, expand, gravity_uncertainty
-from undrift.calibration.settings import METHODS
 from undrift.commands.answer import (
     BLOCKS,
     NAMES,
@@ -31,6 +29,7 @@ from undrift.commands.answer import (
     two_digits,
     uncertainty_section,
 )
+from undrift.commands.expanded import COVERAGE, ParameterTable, block_of, expand, gravity_uncertainty
 from undrift.commands.files import check_output
 from undrift.errors import InputError
 from undrift.findings import most_consequential_first
@@ -56,6 +55,15 @@ SOURCE_ROWS = {
     "repeatability": ("Repeatability: scatter beyond the noise", "A", ""),
     "prior": ("Fit: not determined by the session", "B", ""),
     "fit": ("Fit: sources not separated", "A, B", ""),
+}
+METHODS = {  # a method's name and its description on a certificate
+    "six-face": "six faces against gravity",
+    "rate-table": "steady rates of a rate table, about each axis",
+    "known-rotation": "turns by a known angle about each axis",
+    "multi-position": "rests in free poses against the size of gravity",
+    "rest": "rests only: the offset is measured, the scale factor is nominal",
+    "reference": "motion against an orientation reference",
+    "motion": "gravity in free motion, nothing else",
 }
 LONGEST = 200  # characters of an entry
 BLANK = (

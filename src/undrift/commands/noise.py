@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 from undrift.base.options import verb
 from undrift.base.summary import Result, Summary, figure_of, table_section
-from undrift.calibration.expanded import COVERAGE
 from undrift.commands import Progress, reading, silent
 from undrift.commands.answer import ANSWERED_S
 from undrift.commands.calibration_file import choose_calibration
+from undrift.commands.expanded import COVERAGE
 from undrift.commands.files import NamedRest, Opening, calibrated_part, named_columns
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical
 

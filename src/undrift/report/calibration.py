@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration.expanded import COVERAGE, expand
 from undrift.commands.answer import NAMES
 from undrift.commands.certificate import certificate_content
+from undrift.commands.expanded import COVERAGE, expand
 from undrift.errors import InputError
 from undrift.files import write_whole
 from undrift.model import AXES, Calibration, DriftTables
