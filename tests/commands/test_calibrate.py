@@ -130,12 +130,7 @@ def test_a_magnetometer_is_calibrated_by_the_same_motion_and_gives_a_heading_fro
     made, words = tmp_path / "c.json", ("calibrate", tmp_path / "03.csv", "--from", "motion")
     shown = undrift.good(*words, "--magnetometer", "-o", made, "--report", tmp_path / "c.html").out
     assert "axes of the gyroscopes, which it lags by 1" in shown
-    assert "Magnetic field of each recording" in shown
     assert "Magnetometer: motion" in (tmp_path / "c.html").read_text()
-    (figures,) = undrift.good(*words, "--magnetometer", "--json").json()["motion"]
-    assert (figures["recording"], figures["disturbed_percent"]) == ("03.csv", pytest.approx(0.0, abs=5.0))
-    assert 30.0 < figures["field_ut"] < 60.0
-    assert 60.0 < figures["below_horizon_deg"] < 70.0
     mag = read_calibration(made).magnetometer
     np.testing.assert_allclose(mag.model.offset, (-0.31, 1.02, -1.59), atol=0.15)
     assert np.linalg.det(mag.model.matrix) == pytest.approx(1.0)

@@ -14,7 +14,6 @@ step before the fit, as ``correct`` does. If the session does not determine a pa
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,14 +22,14 @@ from undrift.arrays import FloatArray
 from undrift.calibration.codes import device_adc, restored
 from undrift.calibration.in_motion import InMotion, fit_in_motion, without_gaps
 from undrift.calibration.known_rotation import calibrate_turns
-from undrift.calibration.magnetometer import FieldFit, FieldReadings, fit_magnetometer
+from undrift.calibration.magnetometer import FieldReadings, fit_magnetometer
 from undrift.calibration.moves import FEWEST_POSES, calibrate_moves, calibrate_poses
 from undrift.calibration.plausibility import check_gyro_scale, missing_faces
 from undrift.calibration.quality import check_accel, mean_reading
 from undrift.calibration.rate_table import calibrate_rates
 from undrift.calibration.reference import ReferenceFit, fit_reference
 from undrift.calibration.reference_accel import fit_reference_accel, turned_like
-from undrift.calibration.session import Observed, Outcome, at_one_temperature, observe
+from undrift.calibration.session import Observed, Outcome, at_one_temperature, check_alike, observe
 from undrift.calibration.settings import AccelFit, CalibrateSettings, GyroFit, Mode
 from undrift.calibration.six_face import calibrate_faces
 from undrift.calibration.sources import creep_of
@@ -40,7 +39,7 @@ from undrift.findings import Finding, Level, finding
 from undrift.fit.priors import SCALE_FACTOR
 from undrift.fit.triad import TriadFit, triad_fit
 from undrift.kernels.attitude import filtered_attitude
-from undrift.model import AdcModel, Calibration, Provenance, TriadModel, Verdict, versions_used
+from undrift.model import AdcModel, Calibration, Magnetometer, Provenance, TriadModel, Verdict, versions_used
 from undrift.record import FACES, Mounting, Record, Reference, Session, Turn, check_local_gravity
 from undrift.segments import unpadded
 from undrift.sync import LagSettings, padding
@@ -512,6 +511,7 @@ def calibrate_from_motion(
 def from_motion(session: Session, *, magnetometer: bool = False) -> tuple[Calibration, InMotion]:
     """Calibrate from the motion in a session, and also return the fit with the offset of each recording."""
     _check_raw(session.records)
+    check_alike(session)
     stretches = [stretch for record in session.records for stretch in without_gaps(record)]
     records = [unpadded(stretch) for stretch in stretches]  # rows that fill a file up look like a rest
     findings = [item for pair in zip(stretches, records, strict=True) for item in padding(*pair)]
@@ -521,44 +521,41 @@ def from_motion(session: Session, *, magnetometer: bool = False) -> tuple[Calibr
         findings.append(_gravity_assumed(session.gravity_m_s2, "info"))
     adc = device_adc(records)
     readings = [restored(record, adc) for record in records]
-    uncertainty = GRAVITY_SPREAD if assumed else 0.0
-    fit_to = partial(fit_in_motion, gravity_m_s2=session.gravity_m_s2, gravity_uncertainty=uncertainty)
-    fit = fit_to(readings)
-    verdict = fit.gyro.verdict
+    gravity, uncertainty = session.gravity_m_s2, GRAVITY_SPREAD if assumed else 0.0
+    fit = fit_in_motion(readings, gravity_m_s2=gravity, gravity_uncertainty=uncertainty)
+    field, verdict = None, fit.gyro.verdict
     if magnetometer:  # the magnetic field then is a second reference direction next to gravity
-        field = _fit_field(readings, fit)
-        for number, record in enumerate(readings):
-            if record.mag_ut is not None:
-                rate = _rate_in_motion(record, fit, number)
-                readings[number] = replace(record, mag_ut=field.magnetometer.corrected(record.mag_ut, rate))
-        fit = replace(fit_to(readings, field=True), field=field)
-        verdict = fit.gyro.verdict.also(field.verdict)
+        rates = [
+            (np.asarray(record.gyro) - offset / si_factor(record.gyro_unit, "rate")) @ fit.gyro.model.matrix.T
+            for record, offset in zip(readings, fit.offsets, strict=True)
+        ]
+        field, field_verdict = _fit_field(readings, rates, fit)
+        fields = [
+            None if record.mag_ut is None else field.corrected(record.mag_ut, rate)
+            for record, rate in zip(readings, rates, strict=True)
+        ]
+        fit = fit_in_motion(readings, fields=fields, gravity_m_s2=gravity, gravity_uncertainty=uncertainty)
+        verdict = fit.gyro.verdict.also(field_verdict)
     calibration = _build_calibration(
         session,
         {"gyro": "motion", "accel": "motion", "recordings": len(records)},
         _mean_temperature(records),
         gyro=fit.gyro.model,
         accel=fit.accel.model,
-        magnetometer=None if fit.field is None else fit.field.magnetometer,
+        magnetometer=field,
         adc=adc,
         verdict=verdict.also(_collect_verdict(findings)),
     )
     return calibration, fit
 
 
-def _rate_in_motion(record: Record, fit: InMotion, number: int) -> FloatArray:
-    """Return the corrected rate (N, 3), rad/s, of a recording with a fitted offset."""
-    return np.asarray((np.asarray(record.gyro) - fit.offsets[number]) @ fit.gyro.model.matrix.T)
-
-
-def _fit_field(records: Sequence[Record], fit: InMotion) -> FieldFit:
+def _fit_field(records: Sequence[Record], rates: Sequence[FloatArray], fit: InMotion) -> tuple[Magnetometer, Verdict]:
     """Fit the magnetometer with the recordings that have one. Gyroscopes and gravity determine the attitude."""
     readings: list[FieldReadings | None] = [None] * len(records)
-    for number, record in enumerate(records):
+    for number, (record, rate) in enumerate(zip(records, rates, strict=True)):
         if record.mag_ut is not None:
-            rate = _rate_in_motion(record, fit, number)
             force = (np.asarray(record.accel) - fit.accel.model.offset) @ fit.accel.model.matrix.T
-            offset_sigma = float(fit.offset_uncertainty[number].max()) * fit.units[0]
+            offset_sigma = float(fit.offset_uncertainty[number].max())
             attitude, _ = filtered_attitude(record.time, rate, force, offset_sigma=offset_sigma)
             readings[number] = (record.time, record.mag_ut, attitude)
     if not any(readings):

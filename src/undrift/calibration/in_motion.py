@@ -22,13 +22,12 @@ from itertools import pairwise
 import numpy as np
 
 from undrift.arrays import FloatArray, bridged
-from undrift.calibration.magnetometer import FieldFit
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.carried import MEAN_S, CarriedMeans
 from undrift.fit.priors import SCALE_FACTOR, SCALE_LIMIT
 from undrift.fit.triad import TriadFit, triad_fit
-from undrift.model import MATRIX_NAMES, OFFSET_NAMES, Verdict
+from undrift.model import Verdict
 from undrift.record import Record
 from undrift.segments import find_still
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
@@ -40,13 +39,13 @@ STAGES_S = (15.0, 15.0, 40.0, 40.0, 300.0, 300.0, 300.0, 300.0, 300.0)
 # rad/s: from rest to motion, from one recording to another, and zero-rate output of a raw device. Assumed.
 MOVED, DAILY, RAW_RATE = 0.02 * RADIAN_PER_DEGREE, 0.1 * RADIAN_PER_DEGREE, 1.0 * RADIAN_PER_DEGREE
 # ratio of the actual errors to those of the equations: gyroscopes 1.2 simulated, 1.5 in real trials, accelerometers 1.8
-WIDENED = {"gyro": 1.5, "accel": 1.8}
+WIDENED_GYRO, WIDENED_ACCEL = 1.5, 1.8
+SCALES = np.array([0, 4, 8])  # places of the scale factors among the elements of a matrix
 ONE_AXIS = 0.1  # smallest share of the rates about the main axis that counts as a turn about others. Assumed.
 NOT_GRAVITY = 1.0  # m/s2, largest acceleration in means over 5 s (walking 0.03, hands 0.1). Assumed.
 IMPLAUSIBLE = 0.25  # largest relative error of a scale factor (raw parts are within 0.2)
-SHOWN = 0.7  # share of the prior deviation below which an element counts as determined
-WANTED_PERCENT = 0.2  # uncertainty of the gyroscope's matrix
 FIELD_SIZE = 0.01  # relative, by which the size of a corrected magnetic field may differ between means. Assumed.
+SHOWN = 0.7  # share of the prior deviation below which an element counts as determined
 
 
 # ---- what is known about the matrices of a raw device
@@ -96,16 +95,9 @@ class InMotion:
 
     gyro: TriadFit
     accel: TriadFit
-    offsets: FloatArray  # (R, 3), mean reading at zero rate over each recording, in its unit
+    offsets: FloatArray  # (R, 3), mean reading at zero rate over each recording, rad/s by its unit
     offset_uncertainty: FloatArray  # (R, 3), their standard uncertainty
     acceleration: FloatArray  # (R,), acceleration that a mean over 5 s still contains, rms, m/s2
-    rested: tuple[bool, ...]  # (R,), whether a recording has a rest
-    field: FieldFit | None = None  # magnetometer, if it was fitted
-
-    @property
-    def units(self) -> tuple[float, float]:
-        """Size of a unit of reading, rad/s and m/s2."""
-        return si_factor(self.gyro.model.unit_in, "rate"), si_factor(self.accel.model.unit_in, "accel")
 
 
 @dataclass(kw_only=True, eq=False)
@@ -117,20 +109,16 @@ class _Part:
     rate: FloatArray  # (N, 3), readings, rad/s
     force: FloatArray  # (N, 3), readings, m/s2
     moving: FloatArray  # (N,), 1 in motion and 0 at rest
-    rest: FloatArray | None  # (3,), mean rate at the first rest of the recording, rad/s
-    rest_spread: (
-        FloatArray  # (3,), standard deviation of the change to the offset in motion, larger for a body that sways
-    )
+    rest: tuple[FloatArray, FloatArray] | None  # mean rate (3,), rad/s, and deviation of the offset in motion from it
     mag: FloatArray | None  # (N, 3), magnetic field, scaled to the size of gravity
-    stretches: list[tuple[slice, CarriedMeans, CarriedMeans]] = field(default_factory=list)  # gravity, magnetic field
+    stretches: list[tuple[slice, CarriedMeans, CarriedMeans]] = field(default_factory=list)  # gravity, field
 
     def cut(self, length_s: float) -> None:
         """Cut the part into stretches of about a length, with default sizes of their errors."""
         count = max(1, round((self.time[-1] - self.time[0]) / length_s))
         if count != len(self.stretches):
-            spans = [slice(*ends) for ends in pairwise(np.linspace(0, len(self.time), count + 1).astype(int))]
-            timed = [(self.time[span], self.moving[span]) for span in spans]
-            self.stretches = [(span, CarriedMeans(*t), CarriedMeans(*t)) for span, t in zip(spans, timed, strict=True)]
+            timed = [(span, self.time[span], self.moving[span]) for span in _spans(len(self.time), count)]
+            self.stretches = [(span, CarriedMeans(*t), CarriedMeans(*t)) for span, *t in timed]
 
     def equations(
         self, device: FloatArray, offset: FloatArray, usual: FloatArray, length: tuple[float, float]
@@ -141,24 +129,24 @@ class _Part:
         for span, gravity, north in self.stretches:
             rate, force = self.rate[span] - offset, self.force[span] - device[18:]
             ones = np.ones((len(rate), 1))
-            regressors = np.hstack((rate, ones)), np.hstack((force, ones))
-            mean, rate_slopes, force_slopes = gravity.means(rate @ gyro.T, force @ accel.T, *regressors)
+            turns, pushes = np.hstack((rate, ones)), np.hstack((force, ones))
+            mean, rate_slopes, force_slopes = gravity.means(rate @ gyro.T, force @ accel.T, turns, pushes)
             matrices = [slopes[..., :3].reshape(-1, 3, 9) for slopes in (rate_slopes, force_slopes)]
             design = np.concatenate((*matrices, -force_slopes[..., 3] @ accel, -rate_slopes[..., 3] @ gyro), axis=2)
             information, right_part = gravity.equations(mean, design, usual, length)
             total, right = total + information, right + right_part
             if self.mag is not None:
-                mean, rate_slopes, _ = north.means(
-                    rate @ gyro.T, self.mag[span], regressors[0], np.empty((len(rate), 0))
-                )
-                design = np.concatenate((rate_slopes[..., :3].reshape(-1, 3, 9), -rate_slopes[..., 3] @ gyro), axis=2)
-                gyro_columns = np.r_[:9, 21:24]
-                information, right_part = north.equations(
-                    mean, design, usual[gyro_columns], (length[0], FIELD_SIZE * length[0])
-                )
-                total[np.ix_(gyro_columns, gyro_columns)] += information
-                right[gyro_columns] += right_part
+                mean, rate_slopes, _ = north.means(rate @ gyro.T, self.mag[span], turns, pushes[:, :0])
+                design = np.zeros((len(mean), 3, 24))
+                design[..., :9], design[..., 21:] = rate_slopes[..., :3].reshape(-1, 3, 9), -rate_slopes[..., 3] @ gyro
+                information, right_part = north.equations(mean, design, usual, (length[0], FIELD_SIZE * length[0]))
+                total, right = total + information, right + right_part
         return total, right
+
+
+def _spans(length: int, count: int) -> list[slice]:
+    """Return an array's length, cut into a number of equal slices."""
+    return [slice(*ends) for ends in pairwise(np.linspace(0, length, count + 1).astype(int))]
 
 
 def fit_in_motion(
@@ -166,19 +154,24 @@ def fit_in_motion(
     *,
     gravity_m_s2: float = STANDARD_GRAVITY,
     gravity_uncertainty: float = 0.0,
-    field: bool = False,
+    fields: Sequence[FloatArray | None] = (),
 ) -> InMotion:
     """Fit both triads of one device to raw recordings of 20 s or more in which it is turned, with gravity in m/s2.
 
-    With ``field``, a calibrated magnetometer gives a second direction that the strapdown must keep. Raise InputError for a missing
-    triad, counts, gaps, several units or short recordings, and NotObservable for a device that is not turned.
+    The recordings have the same units. ``fields`` are the corrected magnetic fields (N, 3) of all recordings, if there are any.
+    Raise InputError for a missing triad, counts, gaps or short recordings, and NotObservable for a device that is not turned.
     """
-    _check(records)
-    parts = _parts([record.in_units("rad/s", "m/s2") for record in records], gravity_m_s2 if field else None)
+    for number, record in enumerate(records):
+        _check(record, f"motion, recording {number + 1}")
+    parts = _parts(
+        [record.in_units("rad/s", "m/s2") for record in records], fields or [None] * len(records), gravity_m_s2
+    )
+    _check_turned(parts)
     rows, value, spread = _prior(parts)
-    rests = [stretch.rest for stretch in parts if stretch.rest is not None]
+    rests = [part.rest[0] for part in parts if part.rest is not None]
     usual_offset = np.mean(rests, axis=0) if rests else np.zeros(3)
-    x = np.concatenate((NOMINAL, usual_offset, *(usual_offset if p.rest is None else p.rest for p in parts)))
+    offsets = [usual_offset if part.rest is None else part.rest[0] for part in parts]
+    x = np.concatenate((NOMINAL, usual_offset, *offsets))
     length = gravity_m_s2, float(np.hypot(gravity_uncertainty, 1e-4 * gravity_m_s2))
     sizes = SIZE
     places = [np.r_[:21, 24 + 3 * k : 27 + 3 * k] for k in range(len(parts))]
@@ -187,9 +180,9 @@ def fit_in_motion(
         weighted = rows / spread[:, None] ** 2
         motion, right = np.zeros((len(x), len(x))), weighted.T @ (value - rows @ x)
         usual = np.append(np.linalg.norm(np.linalg.inv(TO_KINDS) * spread[:21], axis=1), np.full(3, RAW_RATE))
-        for stretch, place in zip(parts, places, strict=True):
-            stretch.cut(stage_s)
-            information, right_part = stretch.equations(x[:21], x[place[21:]], usual, length)
+        for part, place in zip(parts, places, strict=True):
+            part.cut(stage_s)
+            information, right_part = part.equations(x[:21], x[place[21:]], usual, length)
             motion[np.ix_(place, place)] += information
             right[place] += right_part
         covariance: FloatArray = np.linalg.inv(weighted.T @ rows + motion)
@@ -197,13 +190,13 @@ def fit_in_motion(
         # the size of each kind of element is adapted to this device: its deviation, and the uncertainty of this
         square = (TO_KINDS @ (x[:21] - NOMINAL)) ** 2 + np.diag(TO_KINDS @ covariance[:21, :21] @ TO_KINDS.T)
         sizes = np.sqrt((KNOWN_FROM * SIZE**2 + square.reshape(7, 3).sum(axis=1)) / (KNOWN_FROM + 3.0))
-    wide = np.full(len(x), WIDENED["gyro"])
-    wide[9:21] = WIDENED["accel"]
+    wide = np.full(len(x), WIDENED_GYRO)
+    wide[9:21] = WIDENED_ACCEL
     sizes = sizes * np.sqrt((3.0 + KNOWN_FROM) / (1.0 + KNOWN_FROM))  # Student's t: sizes are known from few elements
     spread[:21] = np.repeat(sizes, 3)
     covariance = np.linalg.inv((rows / spread[:, None] ** 2).T @ rows + motion / np.outer(wide, wide))
     for first, size in ((0, sizes[0]), (9, sizes[2])):
-        scale = first + np.array([0, 4, 8])
+        scale = first + SCALES
         hidden = scale[np.sqrt(np.diag(covariance)[scale]) > SHOWN * size]
         covariance[hidden, hidden] += SCALE_FACTOR**2  # only the data sheet gives its scale
     return _result(records, parts, x, covariance, Verdict.of(*_findings(x, covariance, sizes)))
@@ -213,74 +206,67 @@ def without_gaps(record: Record) -> list[Record]:
     """Return the stretches of 20 s or more between gaps (NaN, time steps), with short gaps bridged, or the record itself."""
     if record.gyro is None or record.accel is None:
         return [record]
-    rows = np.flatnonzero(np.isfinite(np.hstack((record.gyro, record.accel))).all(axis=1))
-    ends = np.flatnonzero(np.diff(record.time[rows]) > max(BRIDGED_S, 1.5 / record.sample_rate_hz))
-    spans = zip(rows[np.append(0, ends + 1)], rows[np.append(ends, -1)] + 1, strict=True) if len(rows) else ()
-    parts = [record.part(int(a), int(b)) for a, b in spans if record.time[b - 1] - record.time[a] >= LEAST_S]
-    if len(parts) == 1 and len(parts[0]) == len(rows) == len(record):
+    readings = np.hstack((record.gyro, record.accel))
+    rows = np.flatnonzero(np.isfinite(readings).all(axis=1))
+    gaps = np.flatnonzero(np.diff(record.time[rows]) > max(BRIDGED_S, 1.5 / record.sample_rate_hz)) + 1
+    if len(rows) == len(record) and not len(gaps):
         return [record]
-    lines = [
-        bridged(stretch.time, np.hstack((np.asarray(stretch.gyro), np.asarray(stretch.accel)))) for stretch in parts
-    ]
-    return [replace(stretch, gyro=x[:, :3], accel=x[:, 3:]) for stretch, x in zip(parts, lines, strict=True)] or [
-        record
-    ]
+    stretches = list[Record]()
+    for part in np.split(rows, gaps):
+        if len(part) and record.time[part[-1]] - record.time[part[0]] >= LEAST_S:
+            stretch = record.part(int(part[0]), int(part[-1]) + 1)
+            line = bridged(stretch.time, readings[part[0] : part[-1] + 1])
+            stretches.append(replace(stretch, gyro=line[:, :3], accel=line[:, 3:]))
+    return stretches or [record]
 
 
-def _check(records: Sequence[Record]) -> None:
-    """Raise InputError if recordings lack a triad, are too short, differ in units, are not in physical units, or have gaps."""
-    if not records:
-        raise InputError("motion: one recording or more is needed, got none. Name the recordings.")
-    units = sorted({(record.gyro_unit, record.accel_unit) for record in records})
-    if len(units) > 1:
-        raise InputError(f"motion: the recordings need one unit of each triad, got {units}. Convert their columns.")
-    for unit, name in zip(units[0], ("gyroscopes", "accelerometers"), strict=True):
+def _check(record: Record, where: str) -> None:
+    """Raise InputError if a recording lacks a triad, is too short, is not in physical units, or has gaps."""
+    if record.gyro is None or record.accel is None:
+        raise InputError(f"{where}: gyroscopes and accelerometers are needed, got one of them. Map both.")
+    for unit, name in ((record.gyro_unit, "gyroscopes"), (record.accel_unit, "accelerometers")):
         if not is_physical(unit):
             raise InputError(
-                f"motion: the {name} are in {unit}, and motion does not determine the size of this unit. Enter the gain of the "
+                f"{where}: the {name} are in {unit}, and motion does not determine the size of this unit. Enter the gain of the "
                 "columns in the map. Example for a device with a known range: scale = { gyro = { gain = 0.061 } }."
             )
-    for number, record in enumerate(records):
-        where = f"motion, recording {number + 1}"
-        if record.gyro is None or record.accel is None:
-            raise InputError(f"{where}: gyroscopes and accelerometers are needed, got one of them. Map both.")
-        gaps = int((~np.isfinite(np.hstack((record.gyro, record.accel)))).any(axis=1).sum())
-        if gaps or record.duration_s < LEAST_S:
-            got = f"{gaps} gaps (NaN)" if gaps else f"{record.duration_s:.3g} s"
-            raise InputError(f"{where}: {LEAST_S:g} s or more without gaps are needed, got {got}. Leave it out.")
+    gaps = int((~np.isfinite(np.hstack((record.gyro, record.accel)))).any(axis=1).sum())
+    if gaps or record.duration_s < LEAST_S:
+        got = f"{gaps} gaps (NaN)" if gaps else f"{record.duration_s:.3g} s"
+        raise InputError(f"{where}: {LEAST_S:g} s or more without gaps are needed, got {got}. Leave it out.")
 
 
-def _parts(records: Sequence[Record], field_size: float | None) -> list[_Part]:
-    """Return recordings in rad/s and m/s2 as parts of the fit. Raise if the device is not turned about all axes."""
+def _parts(records: Sequence[Record], fields: Sequence[FloatArray | None], field_size: float) -> list[_Part]:
+    """Return recordings in rad/s and m/s2 as parts of the fit. Their magnetic fields get a common size."""
     parts = list[_Part]()
     for number, record in enumerate(records):
         gyro, accel = np.asarray(record.gyro), np.asarray(record.accel)
         stills = find_still(record).stills
-        moving, rest, rest_spread = np.ones(len(record)), None, np.zeros(3)
+        moving, rest = np.ones(len(record)), None
         for still in stills:
             moving[still.start : still.stop] = 0.0
-        if stills:
+        if stills:  # a body that sways determines its rest offset less well
             rates = gyro[stills[0].start : stills[0].stop]
             count = max(2, min(len(rates), round(len(rates) / (0.25 * record.sample_rate_hz))))
             means = [block.mean(axis=0) for block in np.array_split(rates, count)]
-            rest, rest_spread = (
-                rates.mean(axis=0),
-                np.hypot(MOVED, np.std(means, axis=0, ddof=1) / np.sqrt(count)),
-            )
-        mag = None
-        if field_size is not None and record.mag_ut is not None:
-            mag = bridged(record.time, record.mag_ut)  # the magnetometer may have a lower sample rate
+            rest = rates.mean(axis=0), np.hypot(MOVED, np.std(means, axis=0, ddof=1) / np.sqrt(count))
+        if (mag := fields[number]) is not None:
+            mag = bridged(record.time, mag)  # the magnetometer may have a lower sample rate
             mag *= field_size / float(np.median(np.linalg.norm(mag, axis=1)))
-        count = max(1, round(record.duration_s / STAGES_S[-1]))
-        for a, b in pairwise(np.linspace(0, len(record), count + 1).astype(int)):
+        for span in _spans(len(record), max(1, round(record.duration_s / STAGES_S[-1]))):
             parts.append(
                 _Part(
-                    recording=number, time=np.asarray(record.time)[a:b], rate=gyro[a:b], force=accel[a:b], moving=moving[a:b],
-                    rest=rest, rest_spread=rest_spread, mag=None if mag is None else mag[a:b],
+                    recording=number, time=record.time[span], rate=gyro[span], force=accel[span], moving=moving[span],
+                    rest=rest, mag=None if mag is None else mag[span],
                 )
             )  # fmt: skip
-    turned_dps = np.degrees(max(float(np.sqrt(stretch.rate.var(axis=0).sum())) for stretch in parts))
-    variances = np.linalg.eigvalsh(np.mean([np.cov(stretch.rate.T) for stretch in parts], axis=0))
+    return parts
+
+
+def _check_turned(parts: Sequence[_Part]) -> None:
+    """Raise unless the device is turned about several axes."""
+    turned_dps = np.degrees(max(float(np.sqrt(part.rate.var(axis=0).sum())) for part in parts))
+    variances = np.linalg.eigvalsh(np.mean([np.cov(part.rate.T) for part in parts], axis=0))
     across_dps, along_dps = np.degrees(np.sqrt(variances[1:].clip(0.0))).tolist()
     advice = "Turn the device in the hand, slowly, about every axis, for a minute."
     if turned_dps < LEAST_DPS:
@@ -292,7 +278,6 @@ def _parts(records: Sequence[Record], field_size: float | None) -> list[_Part]:
             along_dps=along_dps,
             across_dps=across_dps,
         )
-    return parts
 
 
 def _prior(parts: Sequence[_Part]) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -300,32 +285,24 @@ def _prior(parts: Sequence[_Part]) -> tuple[FloatArray, FloatArray, FloatArray]:
 
     The prior of the device offset is zero. The prior of a part's offset is the device offset and its reading at rest.
     """
-    count, eye = 24 + 3 * len(parts), np.eye(3)
-    kinds = np.hstack((TO_KINDS, np.zeros((21, count - 21))))
-    rows: list[FloatArray] = [kinds, np.eye(3, count, 21)]
-    values: list[FloatArray] = [TO_KINDS @ NOMINAL, np.zeros(3)]
-    spreads: list[FloatArray] = [np.ones(21), np.full(3, RAW_RATE)]
-    for k, stretch in enumerate(parts):
-        offset_columns = np.eye(3, count, 24 + 3 * k)
-        daily = offset_columns.copy()
-        daily[:, 21:24] -= eye
-        rows.append(daily)
-        values.append(np.zeros(3))
-        spreads.append(np.full(3, DAILY))
-        if stretch.rest is not None:
-            rows.append(offset_columns)
-            values.append(stretch.rest)
-            spreads.append(stretch.rest_spread)
-    return np.vstack(rows), np.concatenate(values), np.concatenate(spreads)
+    count, rests = len(parts), [(k, *part.rest) for k, part in enumerate(parts) if part.rest is not None]
+    eye = np.eye(24 + 3 * count)
+    elements, device, offsets = eye[:21], eye[21:24], eye[24:].reshape(count, 3, -1)
+    elements[:, :21] = TO_KINDS
+    daily = (offsets - device).reshape(3 * count, -1)
+    rows = np.vstack((elements, device, daily, *(offsets[k] for k, _, _ in rests)))
+    value = np.concatenate((TO_KINDS @ NOMINAL, np.zeros(3 + 3 * count), *(mean for _, mean, _ in rests)))
+    known = np.concatenate((np.ones(21), np.full(3, RAW_RATE), np.full(3 * count, DAILY)))
+    return rows, value, np.concatenate((known, *(spread for _, _, spread in rests)))
 
 
 def _result(
     records: Sequence[Record], parts: Sequence[_Part], x: FloatArray, covariance: FloatArray, verdict: Verdict
 ) -> InMotion:
     """Return the model in the units of the readings. Raise if it cannot describe a device in motion."""
-    matrices, offsets = x[:18].reshape(2, 3, 3), x[24:].reshape(-1, 3)
-    gravity = np.median([np.median(np.linalg.norm(stretch.force, axis=1)) for stretch in parts]) / STANDARD_GRAVITY
-    gyro_scale = np.linalg.norm(np.linalg.inv(matrices[0]), axis=1)
+    gyro, accel = x[:18].reshape(2, 3, 3)
+    gravity = np.median([np.median(np.linalg.norm(part.force, axis=1)) for part in parts]) / STANDARD_GRAVITY
+    gyro_scale = np.linalg.norm(np.linalg.inv(gyro), axis=1)
     for triad, scale in (("gyroscope", gyro_scale), ("accelerometer", gravity)):
         if (percent := 100.0 * float(np.abs(scale - 1.0).max())) > 100.0 * IMPLAUSIBLE:
             raise Implausible(
@@ -333,8 +310,8 @@ def _result(
                 "limit for uncalibrated sensors. Check unit, gain and sample rate, and that both triads share one clock.",
                 percent=percent,
             )
-    stretches_of = [[k for k, stretch in enumerate(parts) if stretch.recording == r] for r in range(len(records))]
-    variances = [[np.exp(g.sizes[0]) for k in numbers for _, g, _ in parts[k].stretches] for numbers in stretches_of]
+    numbers_of = [[k for k, part in enumerate(parts) if part.recording == r] for r in range(len(records))]
+    variances = [[np.exp(g.sizes[0]) for k in numbers for _, g, _ in parts[k].stretches] for numbers in numbers_of]
     acceleration = np.sqrt([np.mean(recording_variances) for recording_variances in variances])
     if (most := float(acceleration.max())) > NOT_GRAVITY:
         raise Implausible(
@@ -342,33 +319,27 @@ def _result(
             f"{most:.2g} m/s2 of acceleration remain in means over 5 s. Check sample rate, units and axes of both triads.",
             acceleration_m_s2=most,
         )
-    all_residuals = np.concatenate([gravity.left for stretch in parts for _, gravity, _ in stretch.stretches])
+    offsets, spread = x[24:].reshape(-1, 3), np.sqrt(np.diag(covariance)[24:].reshape(-1, 3))
+    residuals = np.concatenate([g.left for part in parts for _, g, _ in part.stretches])
+    rates = np.concatenate([(part.rate - offset) @ gyro.T for part, offset in zip(parts, offsets, strict=True)])
+    forces = np.concatenate([(part.force - x[18:21]) @ accel.T for part in parts])
     gyro_unit, accel_unit = records[0].gyro_unit, records[0].accel_unit
-    rates = [(stretch.rate - offset) @ matrices[0].T for stretch, offset in zip(parts, offsets, strict=True)]
-    forces = [(stretch.force - x[18:21]) @ matrices[1].T for stretch in parts]
-    gyro, accel = (
-        _triad(residuals, x, covariance, rows, readings, verdict, unit_in=unit, unit_out=unit_out)
-        for residuals, rows, readings, unit, unit_out in (
-            (all_residuals[:, :2] / (STANDARD_GRAVITY * MEAN_S), np.r_[:9, 21:24], rates, gyro_unit, "rad/s"),
-            (all_residuals, np.r_[9:21], forces, accel_unit, "m/s2"),
-        )
-    )
-    factor, spread = si_factor(gyro_unit, "rate"), np.sqrt(np.diag(covariance)[24:].reshape(-1, 3))
+    turned = residuals[:, :2] / (STANDARD_GRAVITY * MEAN_S)
     return InMotion(
-        gyro=gyro,
-        accel=accel,
-        offsets=np.array([offsets[numbers].mean(axis=0) for numbers in stretches_of]) / factor,
-        offset_uncertainty=np.array([spread[numbers].max(axis=0) for numbers in stretches_of]) / factor,
+        gyro=_triad(turned, x, covariance, np.r_[:9, 21:24], rates, verdict, units=(gyro_unit, "rad/s")),
+        accel=_triad(residuals, x, covariance, np.r_[9:21], forces, verdict, units=(accel_unit, "m/s2")),
+        offsets=np.array([offsets[numbers].mean(axis=0) for numbers in numbers_of]),
+        offset_uncertainty=np.array([spread[numbers].max(axis=0) for numbers in numbers_of]),
         acceleration=acceleration,
-        rested=tuple(parts[numbers[0]].rest is not None for numbers in stretches_of),
     )
 
 
 def _triad(
-    residuals: FloatArray, x: FloatArray, covariance: FloatArray, rows: FloatArray, readings: Sequence[FloatArray],
-    verdict: Verdict, *, unit_in: str, unit_out: str,
+    residuals: FloatArray, x: FloatArray, covariance: FloatArray, rows: FloatArray, corrected: FloatArray,
+    verdict: Verdict, units: tuple[str, str],
 ) -> TriadFit:  # fmt: skip
     """Return a triad whose matrix and offset are the elements ``rows`` (12,) of x, in the unit of the readings."""
+    unit_in, unit_out = units
     factor = si_factor(unit_in, "rate" if unit_out == "rad/s" else "accel")
     scale = np.repeat((factor, 1.0 / factor), (9, 3))
     return triad_fit(
@@ -379,11 +350,10 @@ def _triad(
         unit_out=unit_out,
         matrix=(scale * x[rows])[:9].reshape(3, 3),
         offset=(scale * x[rows])[9:],
-        parameters=(*MATRIX_NAMES, *OFFSET_NAMES),
         covariance=scale[:, None] * covariance[np.ix_(rows, rows)] * scale,
         rank=12,
         condition=float(np.linalg.cond(covariance[np.ix_(rows[:9], rows[:9])])) ** 0.5,
-        valid_range=(min(float(values.min()) for values in readings), max(float(values.max()) for values in readings)),
+        valid_range=(float(corrected.min()), float(corrected.max())),
     )
 
 
@@ -394,19 +364,14 @@ ADVICE = {
 
 
 def _findings(x: FloatArray, covariance: FloatArray, sizes: FloatArray) -> Iterator[Finding]:
-    """Yield findings about scale factors that keep their prior, and about uncertain or implausible elements."""
-    spread = np.sqrt(np.diag(covariance))
+    """Yield findings about scale factors that keep their prior or are implausible."""
     for triad, first, size in (("gyroscope", 0, sizes[0]), ("accelerometer", 9, sizes[2])):
-        scale = spread[first + np.array([0, 4, 8])]
-        if (scale > SHOWN * size).any():
-            axes = tuple(axis for axis, near_prior in zip("xyz", scale > SHOWN * size, strict=True) if near_prior)
-            percent = 100.0 * float(scale.max())
+        spread = np.sqrt(np.diag(covariance))[first + SCALES]
+        axes = tuple(axis for axis, hidden in zip("xyz", spread > SHOWN * size, strict=True) if hidden)
+        if axes:
+            percent = 100.0 * float(spread.max())
             yield finding(
                 "motion.prior", "warn", triad=triad, axes=axes, uncertainty_percent=percent, advice=ADVICE[triad]
             )
-        elif triad == "gyroscope":
-            rotation_sigmas = [0.5 * np.sqrt(covariance[np.ix_(pair, pair)].sum()) for pair in ((1, 3), (2, 6), (5, 7))]
-            if (percent := 100.0 * float(max(*rotation_sigmas, *scale))) > WANTED_PERCENT:
-                yield finding("reference.uncertainty", "warn", triad=triad, uncertainty_percent=percent)
-        if (deviation := float(np.abs(1.0 / x[first + np.array([0, 4, 8])] - 1.0).max())) > SCALE_LIMIT:
+        if (deviation := float(np.abs(1.0 / x[first + SCALES] - 1.0).max())) > SCALE_LIMIT:
             yield finding("motion.scale", "warn", triad=triad, percent=100.0 * deviation)

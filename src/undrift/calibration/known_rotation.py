@@ -16,8 +16,8 @@ about an axis, that column of M keeps the nominal scale, as on a rate table. Sou
     instability    flicker and a steady drift of known size, and a random walk of each sensor with an excess variance (fit/gls.py)
 
 Moves between the rests turn gravity, and determine the matrix as well (moves.py). Both estimates are combined. The turns give the
-parameters x with matrix x_M, the moves give the matrix m. With K = (cov(x, x_M) - cov(x, m)) cov(m - x_M)^-1, the estimate is
-x + K (m - x_M). Turns and moves share the slopes of the scale over temperature: cov(x, m) = D_x D_m'.
+parameters x with matrix x_M, the moves give the matrix m. With K = cov(x, x_M) cov(m - x_M)^-1, the estimate is
+x + K (m - x_M).
 
 .. [1] F. Ferraris, U. Grimaldi, M. Parvis, "Procedure for effortless in-field calibration of three-axial rate gyros and
    accelerometers", Sensors and Materials 7(5), 1995.
@@ -25,13 +25,14 @@ x + K (m - x_M). Turns and moves share the slopes of the scale over temperature:
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.codes import limited_by_codes, mean_rounding
-from undrift.calibration.moves import MatrixOfMoves, matrix_of_moves
+from undrift.calibration.moves import matrix_of_moves
 from undrift.calibration.plausibility import (
     SCALE_TOLERANCE,
     axis_vectors,
@@ -50,7 +51,7 @@ from undrift.errors import Implausible, InputError, NotObservable, PoorFit
 from undrift.findings import Finding, finding
 from undrift.fit.gls import block_size, carried, noise_of_means, solve_inverse
 from undrift.fit.priors import G_SENSITIVITY
-from undrift.fit.triad import TriadFit, TriadParameters, fit_of, inverse_jacobian, offset_of, parameters_of
+from undrift.fit.triad import TriadFit, TriadParameters, fit_of, inverse_jacobian, parameters_of
 from undrift.model import AXES, TriadModel, Verdict
 from undrift.record import Axis, Face, Record, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -149,11 +150,7 @@ def _readings(
     record: Record, piece: Still | Turn, matrix: FloatArray | None, offset: FloatArray | None
 ) -> tuple[FloatArray, FloatArray]:
     """Return rate readings and specific force (N, 3), m/s2, of a piece. The force is zero without an accelerometer."""
-    if record.gyro is None or (matrix is not None and record.accel is None):
-        raise InputError(
-            "known rotation: expected both sensors in every recording. Map the columns of gyroscope and accelerometer."
-        )
-    gyro = record.gyro[piece.start : piece.stop]
+    gyro = np.asarray(record.gyro)[piece.start : piece.stop]
     if matrix is None or offset is None or record.accel is None:
         return gyro, np.zeros_like(gyro)
     return gyro, np.asarray((record.accel[piece.start : piece.stop] - offset) @ matrix.T)
@@ -208,9 +205,8 @@ def fit_known_rotation(
     angle_uncertainty: float = 0.0,
     axis_uncertainty: float = 0.0,
     cross_axis_prior: float = 0.01,
-    scale_tolerance: float = SCALE_TOLERANCE,
     creep: Creep | None = None,
-    moves: Callable[[TriadParameters], MatrixOfMoves | PoorFit | None] = lambda turns: None,
+    moves: Callable[[TriadParameters], TriadParameters] | None = None,
 ) -> TriadFit:
     """Fit gyroscopes to rests and turns, with their g-sensitivity if there is an accelerometer.
 
@@ -219,7 +215,7 @@ def fit_known_rotation(
     """
     turn_axes = _check_complete(rows, mode)
     matrix = first_table_matrix(rows.rate, rows.reading, turn_axes, rows.unit)
-    _check_turns(np.linalg.inv(matrix), rows, turn_axes, scale_tolerance)
+    _check_turns(np.linalg.inv(matrix), rows, turn_axes)
     sources, findings = _sources(rows, matrix, angle_uncertainty, axis_uncertainty), list[Finding]()
     warmth = np.zeros((rows.reading.size, 6)) if creep is None else creep.columns_in_case(rows.rate)
     sources["temperature"] = warmth @ warmth.T
@@ -232,10 +228,9 @@ def fit_known_rotation(
         prior = table_prior(matrix, turn_axes, rows.force is not None, rows.unit, cross_axis_prior)
         gls = solve_inverse(rows.reading, rows.rate, rows.force, matrix, sources, excess=excess, prior=prior)
         fitted, residuals = parameters_of(gls), -gls.residuals.reshape(-1, 3)
-        if len(turn_axes) == 3:
-            _, offset_jacobian = offset_of(fitted.matrix, gls.theta[9:12], len(gls.theta))
-            fitted, findings = _combine_with_moves(fitted, offset_jacobian @ gls.gains @ warmth[:, 1::2], moves(fitted))
-        else:
+        if len(turn_axes) == 3 and moves is not None:
+            fitted, findings = _combine_with_moves(fitted, moves)
+        elif len(turn_axes) < 3:
             findings = [axes_missing([AXES[k] for k in turn_axes], rows.unit, cross_axis_prior)]
     if rows.rounding is not None:
         findings += limited_by_codes("gyroscope", rows.rounding**2, np.diag(fitted.covariance)[9:12], rows.unit)
@@ -274,19 +269,17 @@ def _closed_form(
 
 
 def _combine_with_moves(
-    turns: TriadParameters, warmth: FloatArray, moves: MatrixOfMoves | PoorFit | None
+    turns: TriadParameters, matrix_of: Callable[[TriadParameters], TriadParameters]
 ) -> tuple[TriadParameters, list[Finding]]:
-    """Combine turns and moves, and return a finding if they disagree.
-
-    ``warmth`` (P, 3) is D_x: the change of the parameters per standard deviation of the slope of each sensor's scale.
-    """
-    if isinstance(moves, PoorFit):
-        return turns, [finding("known_rotation.moves_disagree", "warn", what=f"the moves were not used: {moves}")]
-    if moves is None:
+    """Combine turns and moves, and return a finding if they disagree."""
+    try:
+        moves = matrix_of(turns)
+    except NotObservable:
         return turns, []
-    difference, common = moves.matrix.ravel() - turns.theta[:9], warmth @ moves.warmth.T
-    spread = moves.covariance + turns.covariance[:9, :9] - common[:9] - common[:9].T
-    gain = np.linalg.solve(spread, (turns.covariance[:, :9] - common).T).T
+    except PoorFit as error:
+        return turns, [finding("known_rotation.moves_disagree", "warn", what=f"the moves were not used: {error}")]
+    difference, spread = moves.theta - turns.theta[:9], moves.covariance + turns.covariance[:9, :9]
+    gain = np.linalg.solve(spread, turns.covariance[:9]).T
     change = np.eye(len(turns.theta))
     change[:, :9] -= gain
     joined = TriadParameters(
@@ -297,9 +290,7 @@ def _combine_with_moves(
     if difference @ np.linalg.solve(spread, difference) <= CONTRADICTION:
         return joined, []
     percent = 100.0 * float(np.abs(difference).max() / np.linalg.norm(moves.matrix, 2))
-    what = (
-        f"the matrices of the turns and of {moves.moves} moves differ by {percent:.2g} %, more than their uncertainty"
-    )
+    what = f"the matrices of the turns and of the moves differ by {percent:.2g} %, more than their uncertainty"
     return joined, [finding("known_rotation.moves_disagree", "warn", what=what)]
 
 
@@ -325,7 +316,7 @@ def _check_complete(rows: RotationRows, mode: KnownRotationMode) -> list[int]:
     return turn_axes
 
 
-def _check_turns(forward: FloatArray, rows: RotationRows, turn_axes: list[int], tolerance: float) -> None:
+def _check_turns(forward: FloatArray, rows: RotationRows, turn_axes: list[int]) -> None:
     """Raise if the axes of gyroscopes and turns disagree, or if a scale is far from the nominal scale of the unit."""
     if len(turn_axes) < 3:
         for k in turn_axes:
@@ -340,79 +331,10 @@ def _check_turns(forward: FloatArray, rows: RotationRows, turn_axes: list[int], 
             reversed=reversed_,
         )
     scale = np.linalg.norm(forward, axis=1)[turn_axes]
-    check_own_scale(scale, rows.unit, "rate", tolerance, "gyroscope turned by hand")
+    check_own_scale(scale, rows.unit, "rate", SCALE_TOLERANCE, "gyroscope turned by hand")
 
 
 # ---- from a session
-
-NEAR_S = 5.0  # between a rest and the turn that it is next to
-BESIDE = 3  # samples between a rest and its turn
-CHUNK_S, MOST_CHUNKS = 0.1, 5  # chunks at the end of a rest that may belong to a move, delayed by a low-pass filter
-MOVES = 5.0  # standard deviations of a chunk's mean within the rest
-
-
-def with_edges(
-    records: Sequence[Record], stills: Sequence[Still], turns: Sequence[Turn]
-) -> tuple[tuple[Still, ...], tuple[Turn, ...]]:
-    """Return rests without the ends in which the device still moves, and turns with those next to them: their angle is the same."""
-    rests, longer = [], list(turns)
-    for still in stills:
-        record = records[still.recording]
-        chunk = max(1, round(CHUNK_S * record.sample_rate_hz))
-        reading = _readings(record, still, None, None)[0]
-        start, stop = still.start + _moving_start(reading, chunk), still.stop - _moving_start(reading[::-1], chunk)
-        rests.append(replace(still, start=start, stop=stop))
-        for k, turn in enumerate(turns):
-            if turn.recording == still.recording and 0 <= still.start - turn.stop <= BESIDE:
-                longer[k] = replace(longer[k], stop=max(turn.stop, start))
-            if turn.recording == still.recording and 0 <= turn.start - still.stop <= BESIDE:
-                longer[k] = replace(longer[k], start=min(turn.start, stop))
-    return tuple(rests), tuple(longer)
-
-
-def _moving_start(reading: FloatArray, chunk: int) -> int:
-    """Count the samples at the start of a rest (N, 3) that differ from its middle, 0 for a rest that is too short."""
-    count = len(reading) // chunk
-    if count < 4 * MOST_CHUNKS:
-        return 0
-    means = reading[: count * chunk].reshape(count, chunk, 3).mean(axis=1)
-    middle = means[MOST_CHUNKS:-MOST_CHUNKS]
-    differs = np.abs(means[:MOST_CHUNKS] - np.nanmean(middle, axis=0)) > MOVES * np.nanstd(middle, axis=0)
-    return chunk * int(np.flatnonzero(differs.any(axis=1)).max(initial=-1) + 1)
-
-
-def _axes_without_rest(records: Sequence[Record], rests: Sequence[Still], turns: Sequence[Turn]) -> tuple[Axis, ...]:
-    """Return the axes of turns without a rest close before and a rest close after them, for any face."""
-    missing_axes = set[Axis | None]()
-    for turn in turns:
-        time, rests_in_recording = records[turn.recording].time, [s for s in rests if s.recording == turn.recording]
-        pauses_before = (time[turn.start] - time[s.stop - 1] for s in rests_in_recording if s.start < turn.start)
-        pauses_after = (time[s.start] - time[turn.stop - 1] for s in rests_in_recording if s.stop > turn.stop)
-        if max(min(pauses_before, default=np.inf), min(pauses_after, default=np.inf)) > NEAR_S:
-            missing_axes.add(turn.axis)
-    return tuple(axis for axis in AXES if axis in missing_axes)
-
-
-def _fit_matrix_to_moves(
-    observed: Observed, rows: RotationRows, accel: TriadModel, turns: TriadParameters
-) -> MatrixOfMoves | PoorFit | None:
-    """Return the matrix from the moves, None without moves, or a PoorFit if no matrix fits turns and moves together."""
-    records, slope = (
-        observed.session.records,
-        np.linalg.solve(turns.matrix, turns.theta[12:].reshape(3, 3)) @ accel.matrix,
-    )
-    if any(record.gyro is None or record.accel is None for record in records):
-        return None
-    freed = [replace(r, gyro=np.asarray(r.gyro) - (np.asarray(r.accel) - accel.offset) @ slope.T) for r in records]
-    rests = [piece for piece in rows.pieces if isinstance(piece, Still)]
-    stills = sorted(rests, key=lambda still: (still.recording, still.start))
-    creep = creep_of(observed, stills, "accel"), creep_of(observed, stills, "gyro")
-    try:
-        return matrix_of_moves(freed, stills, accel, turns, creep=creep)
-    except NotObservable:
-        return None
-    except PoorFit as error:
-        return error
 
 
 def _check_by_gravity(record: Record, gyro: TriadModel, accel: TriadModel) -> tuple[Finding, ...]:
@@ -445,17 +367,18 @@ def calibrate_turns(observed: Observed, mode: str | None, accel: TriadFit | None
         raise NotObservable(
             "expected turns by known angles, got none. Turn the device about x, y and z between rests, and give angle_deg."
         )
-    rests = observed.stills
-    if _axes_without_rest(records, rests, turns):
-        rests = (*rests, *observed.unused_stills((*rests, *turns)))
-    if missing_axes := _axes_without_rest(records, rests, turns):
-        findings.append(finding("known_rotation.no_rests", "warn", axes=missing_axes, within_s=NEAR_S))
     model = None if accel is None else accel.model
     matrix, offset = (None, None) if model is None else (model.matrix, model.offset)
-    if mode != "paper":
-        rests, turns = with_edges(records, rests, turns)
+    # a session may state rests on faces only, but rests beside the turns give moves
+    rests = (*observed.stills, *observed.unused_stills((*observed.stills, *turns)))
     rows = rotation_rows(records, rests, turns, matrix=matrix, offset=offset)
     creep = creep_of(observed, rows.pieces, "gyro")
+    moves: Callable[[TriadParameters], TriadParameters] | None = None
+    if model is not None:
+        used = [piece for piece in rows.pieces if isinstance(piece, Still)]
+        stills = sorted(used, key=lambda still: (still.recording, still.start))
+        creeps = creep_of(observed, stills, "accel"), creep_of(observed, stills, "gyro")
+        moves = partial(matrix_of_moves, records, stills, model, creep=creeps)
     fit = fit_known_rotation(
         rows,
         gravity=observed.session.gravity_m_s2,
@@ -464,7 +387,7 @@ def calibrate_turns(observed: Observed, mode: str | None, accel: TriadFit | None
         axis_uncertainty=settings.axis_uncertainty_deg * RADIAN_PER_DEGREE,
         cross_axis_prior=settings.cross_axis_prior,
         creep=creep,
-        moves=lambda turns: None if model is None else _fit_matrix_to_moves(observed, rows, model, turns),
+        moves=moves,
     )
     if model is not None:
         # Full turns bring gravity back for any axes. Moves reveal gyroscope axes that differ from those of the accelerometer.

@@ -28,6 +28,7 @@ from scipy.optimize import minimize
 from undrift.arrays import BoolArray, FloatArray, runs
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, Level, finding
+from undrift.fit.gls import carried
 from undrift.fit.triad import inverse_jacobian, triad_fit
 from undrift.frames import rotation
 from undrift.model import AXES, Magnetometer, Verdict
@@ -55,18 +56,6 @@ WIDEST = 0.2  # share of the largest uncertainty of hard iron, for the axes that
 SHARED = 13  # parameters of a device: K, b, l
 
 FieldReadings: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]  # time (N,), readings (N, 3), orientation (N, 4)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class FieldFit:
-    """A magnetometer, and the field of each recording with magnetometer readings."""
-
-    magnetometer: Magnetometer
-    recording: tuple[int, ...]  # (R,), its place among all
-    field_ut: FloatArray  # (R,), size of the field
-    dip: FloatArray  # (R,), rad, below the horizon
-    disturbed: FloatArray  # (R,), share of the time that was omitted
-    verdict: Verdict
 
 
 @dataclass(kw_only=True, eq=False)
@@ -150,8 +139,8 @@ class _FieldStretch:
         return solved(self.sizes)[1:]
 
 
-def fit_magnetometer(readings: Sequence[FieldReadings | None]) -> FieldFit:
-    """Fit the magnetometer of a device to recordings in motion.
+def fit_magnetometer(readings: Sequence[FieldReadings | None]) -> tuple[Magnetometer, Verdict]:
+    """Fit the magnetometer of a device to recordings in motion, and return it with its verdict.
 
     Each recording gives time (N,), s, readings (N, 3), uT, with NaN for gaps, and orientation (N, 4) from case to level, z up, with
     any heading, or None without a magnetometer. Raise InputError for short recordings, NotObservable if the device is not turned.
@@ -195,7 +184,18 @@ def fit_magnetometer(readings: Sequence[FieldReadings | None]) -> FieldFit:
         for stretch, (inverse, coupling, right_part) in zip(stretches, followers, strict=True):
             stretch.local = stretch.local + inverse @ (right_part - coupling @ step)
             stretch.local[0] += np.log(gain)
-    return _result(stretches, k, np.append(b, lag), covariance, usual, spread)
+    matrix = np.linalg.inv(k)
+    jacobian = block_diag(inverse_jacobian(matrix), np.eye(4))
+    covariance = carried(jacobian, covariance)
+    fields = np.concatenate([(stretch.reading - b) @ matrix.T for stretch in stretches])
+    model = triad_fit(
+        np.concatenate([stretch.rows(k, b, lag)[stretch.calm][..., -1] for stretch in stretches]).ravel(),
+        method="motion", unit_in="uT", unit_out="uT", matrix=matrix, offset=b, covariance=covariance[:12, :12], rank=12,
+        condition=float(np.linalg.cond(covariance[:12, :12] / np.outer(spread[:12], spread[:12]))) ** 0.5,
+        valid_range=(float(fields.min()), float(fields.max())),
+    ).model  # fmt: skip
+    magnetometer = Magnetometer(model=model, lag_s=lag, lag_uncertainty_s=float(np.sqrt(covariance[12, 12])))
+    return magnetometer, Verdict.of(*_findings(stretches, np.sqrt(np.diag(covariance)), np.abs(usual).T))
 
 
 def _cut(number: int, time: FloatArray, mag: FloatArray, q_nb: FloatArray) -> Iterator[_FieldStretch]:
@@ -259,50 +259,24 @@ def _start(stretches: list[_FieldStretch]) -> tuple[FloatArray, FloatArray, Floa
     return axes.T, axes.T, axes.T @ ab
 
 
-def _result(
-    stretches: list[_FieldStretch], k: FloatArray, offset_and_lag: FloatArray, covariance: FloatArray, usual: FloatArray,
-    spread: FloatArray,
-) -> FieldFit:  # fmt: skip
-    """Return the inverse model with its covariance, and the field of each recording."""
-    b, lag, matrix = offset_and_lag[:3], float(offset_and_lag[3]), np.linalg.inv(k)
-    jacobian = block_diag(inverse_jacobian(matrix), np.eye(4))
-    covariance = jacobian @ covariance @ jacobian.T
-    groups = [[*group] for _, group in groupby(stretches, lambda stretch: stretch.recording)]
-    means = np.array([np.mean([stretch.local[:2] for stretch in group], axis=0) for group in groups])
-    fields = np.concatenate([(stretch.reading - b) @ matrix.T for stretch in stretches])
-    model = triad_fit(
-        np.concatenate([stretch.rows(k, b, lag)[stretch.calm][..., -1] for stretch in stretches]).ravel(),
-        method="motion", unit_in="uT", unit_out="uT", matrix=matrix, offset=b, covariance=covariance[:12, :12], rank=12,
-        condition=float(np.linalg.cond(covariance[:12, :12] / np.outer(spread[:12], spread[:12]))) ** 0.5,
-        valid_range=(float(fields.min()), float(fields.max())),
-    ).model  # fmt: skip
-    return FieldFit(
-        magnetometer=Magnetometer(model=model, lag_s=lag, lag_uncertainty_s=float(np.sqrt(covariance[12, 12]))),
-        recording=tuple(group[0].recording for group in groups),
-        field_ut=np.exp(means[:, 0]),
-        dip=-means[:, 1],
-        disturbed=np.array([1.0 - np.mean(np.concatenate([stretch.calm for stretch in group])) for group in groups]),
-        verdict=Verdict.of(*_findings(covariance, usual, means, groups)),
-    )
+def _findings(stretches: list[_FieldStretch], sigma: FloatArray, gyro_axes: FloatArray) -> Iterator[Finding]:
+    """Yield a heading that is uncertain with the axes that cause it, and the disturbed stretches of each recording.
 
-
-def _findings(
-    covariance: FloatArray, usual: FloatArray, means: FloatArray, groups: list[list[_FieldStretch]]
-) -> Iterator[Finding]:
-    """Yield a heading that is uncertain with the axes that cause it, and the disturbed stretches of each recording."""
-    sigma, size = np.sqrt(np.diag(covariance)), np.exp(means[:, 0])
-    gyro_axes = np.abs(usual).T
+    ``sigma`` (13,) are the standard uncertainties. ``gyro_axes`` (3, 3) moves them to the axes of the gyroscopes.
+    """
     soft, hard = gyro_axes @ sigma[:9].reshape(3, 3).max(axis=0), gyro_axes @ sigma[9:12]
-    heading = float((np.hypot(soft.max(), hard.max() / size) / np.cos(means[:, 1])).max())
+    horizontal = [np.exp(stretch.local[0]) * np.cos(stretch.local[1]) for stretch in stretches]
+    steepest = min(float(np.cos(stretch.local[1])) for stretch in stretches)
+    heading = float(np.hypot(soft.max() / steepest, hard.max() / min(horizontal)))
     if heading > ROUGH:
         axes = tuple(axis for axis, wide in zip(AXES, hard > WIDEST * hard.max(), strict=True) if wide)
         values = {"heading_deg": heading / RADIAN_PER_DEGREE, "offset_ut": float(hard.max())}
         yield finding("magnetometer.heading", "warn", axes=axes, **values)
-    for stretches in groups:
-        time, calm = (np.concatenate([getattr(stretch, name) for stretch in stretches]) for name in ("time", "calm"))
-        if calm.all():
-            continue
-        first, stop = max(runs(~calm), key=lambda span: span[1] - span[0])
-        percent, span = 100.0 * float(1.0 - calm.mean()), {"start_s": time[first], "stop_s": time[stop - 1]}
-        level: Level = "warn" if percent > 50.0 else "info"
-        yield finding("magnetometer.disturbed", level, recording=stretches[0].recording + 1, percent=percent, **span)
+    for recording, group in groupby(stretches, lambda stretch: stretch.recording):
+        times, calms = zip(*[(stretch.time, stretch.calm) for stretch in group], strict=True)
+        time, calm = np.concatenate(times), np.concatenate(calms)
+        if not calm.all():
+            first, stop = max(runs(~calm), key=lambda span: span[1] - span[0])
+            percent, span = 100.0 * float(1.0 - calm.mean()), {"start_s": time[first], "stop_s": time[stop - 1]}
+            level: Level = "warn" if percent > 50.0 else "info"
+            yield finding("magnetometer.disturbed", level, recording=recording + 1, percent=percent, **span)

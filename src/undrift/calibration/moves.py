@@ -13,12 +13,12 @@ angle about the vertical is not observable. Generalised least squares (fit/gls.p
 
 d is the offset relative to its mean over the rests, and a source of error that rests and moves share. It consists of flicker and a
 steady drift of known size, a change with temperature, and a random walk with an excess variance. The offset in a move is therefore
-close to the offset of the rests next to it. Other sources are noise, codes, jitter of the clock and the calibration of the
-accelerometer. The hand adds an excess variance in rests, and another in moves.
+close to the offset of the rests next to it. Other sources are noise, codes and the calibration of the accelerometer. Hand and clock
+add an excess variance in rests, and another in moves.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -28,15 +28,8 @@ from undrift.calibration.codes import code_steps, code_variance, limited_by_code
 from undrift.calibration.norm import NAMES, QUADRATIC_SD, TOLERANCE, check_count, fit_norm, judged
 from undrift.calibration.plausibility import check_axis_order, check_own_scale, check_range, stuck_windows
 from undrift.calibration.session import Observed, Outcome
-from undrift.calibration.sources import (
-    Creep,
-    creep_of,
-    flicker_of_means,
-    slip_covariance,
-    steady_drift,
-    walk_about_mean,
-)
-from undrift.errors import InputError, NotObservable, PoorFit
+from undrift.calibration.sources import Creep, creep_of, flicker_of_means, steady_drift, walk_about_mean
+from undrift.errors import NotObservable, PoorFit
 from undrift.findings import Finding, above, finding
 from undrift.fit.gls import GlsFit, Prior, carried, solve
 from undrift.fit.priors import G_SENSITIVITY, GYRO_FLICKER, REST_DRIFT, UNCERTAIN_PERCENT
@@ -64,11 +57,6 @@ def fit_poses(
     ``cross_axis_prior`` is the prior standard deviation of a cross-axis term, relative to the scale. If it is None, poses that do
     not determine such a term are refused. ``creep`` is the effect of temperature on the stills.
     """
-    if any(r.accel is None for r in records) or len({r.accel_unit for r in records}) > 1:
-        raise InputError(
-            "multi-position: accelerometer readings need the same unit in every recording. Map the accelerometer columns and "
-            "their unit."
-        )
     reading, variances = _pose_means(records, stills)
     if len(stills) < (FEWEST_POSES if cross_axis_prior else len(NAMES)):
         check_count(reading, len(NAMES))
@@ -129,12 +117,6 @@ class Moves:
         return np.asarray(self.time[self.last] - self.time[self.first])
 
     @property
-    def slip(self) -> FloatArray:
-        """Covariance (J, 3, 3) of the integral of the readings over each move by jitter of its time stamps, (raw unit s)^2."""
-        windows = (slice(first, last + 1) for first, last in zip(self.first, self.last, strict=True))
-        return np.array([slip_covariance(self.time[window], self.gyro[window]) for window in windows])
-
-    @property
     def spans(self) -> FloatArray:
         """Start and end of the stills and the moves (K + J, 2), s, on a common clock, with recordings in sequence."""
         clock = np.concatenate(([0.0], np.cumsum(np.diff(self.time).clip(0.0))))
@@ -142,34 +124,34 @@ class Moves:
         return np.asarray(clock[np.column_stack(edges)])
 
 
-def cut_moves(records: Sequence[Record], stills: Sequence[Still]) -> Moves:
-    """Return the moves between neighbouring stills of a record, without moves that contain gaps or drop-outs."""
-    pairs = [(r.gyro, r.accel) for r in records if r.gyro is not None and r.accel is not None]
-    if len(pairs) < len(records) or len({(r.gyro_unit, r.accel_unit) for r in records}) > 1:
-        raise InputError(
-            "multi-position gyro: gyroscope and accelerometer readings need the same units in every recording. Fit the recordings "
-            "that contain both."
-        )
+def cut_moves(records: Sequence[Record], stills: Sequence[Still]) -> tuple[Moves, tuple[Finding, ...]]:
+    """Return the moves between neighbouring stills of a record, without moves that contain gaps or saturated readings.
+
+    A finding names the moves in which a gyroscope sticks at the end of its range.
+    """
     base = np.concatenate(([0], np.cumsum([len(r) for r in records])))
     ordered = sorted(stills, key=lambda still: (still.recording, still.start))
     begin = base[[still.recording for still in ordered]]
     start, stop = (begin + np.array([getattr(still, end) for still in ordered], np.int64) for end in ("start", "stop"))
-    gyro, accel = (np.concatenate(values) for values in zip(*pairs, strict=True))
+    gyro = np.concatenate([np.asarray(r.gyro) for r in records])
+    accel = np.concatenate([np.asarray(r.accel) for r in records])
     time = np.concatenate([r.time for r in records])
     longest = 1.5 / np.array([r.sample_rate_hz for r in records])
     broken = np.isnan(gyro).any(axis=1) | (np.diff(time, prepend=time[0]) > np.repeat(longest, np.diff(base)))
     lost = np.concatenate(([0], np.cumsum(broken)))
     before = np.flatnonzero((begin[:-1] == begin[1:]) & (lost[start[1:] + 1] == lost[stop[:-1]]))
-    return Moves(
-        gyro=gyro,
-        accel=accel,
-        time=time,
-        first=stop[before] - 1,
-        last=start[before + 1],
-        before=before,
-        start=start,
-        stop=stop,
+    first, last = stop[before] - 1, start[before + 1]
+    stuck = stuck_windows([gyro[a : b + 1] for a, b in zip(first, last, strict=True)])
+    saturated = tuple(
+        f"the move after still {before[k] + 1} ({time[first[k]]:.1f}-{time[last[k]]:.1f} s)"
+        for k in np.flatnonzero(stuck)
     )
+    count = {"count": len(saturated), "of": len(before)}
+    findings = (finding("session.saturated", "warn", what="moves", pieces=saturated, **count),) if saturated else ()
+    first, last, before = first[~stuck], last[~stuck], before[~stuck]
+    return Moves(
+        gyro=gyro, accel=accel, time=time, first=first, last=last, before=before, start=start, stop=stop
+    ), findings
 
 
 # Unit vectors (K, 3) along the specific force in each still, their derivative by the accelerometer's m_xx .. m_zz and offset
@@ -198,26 +180,21 @@ def gravity_directions(moves: Moves, accel: TriadModel) -> Directions:
 def rough_matrix(moves: Moves, accel: TriadModel, offset: FloatArray) -> FloatArray:
     """Return an approximate gyroscope matrix, within a few per cent, from the slow change of the gravity direction.
 
-    dn/dt = n x w with w = M (u - o) is linear in M over blocks of 0.2 s in which the device is moved.
+    dn/dt = n x w with w = M (u - o) is linear in M over blocks of 0.2 s.
     """
-    normal, right = np.zeros((9, 9)), np.zeros(9)
-    for first, last in zip(moves.first, moves.last, strict=True):
-        step_s = (moves.time[last] - moves.time[first]) / max(1, last - first)
-        block = max(2, round(0.2 / step_s))
-        low = max(0, first - block)  # starts within the still, because the direction is certain there
-        blocks = (min(last + block, len(moves.time)) - low) // block
-        if blocks < 3:
-            continue
-        cut = slice(low, low + blocks * block)
-        force, rate = (values[cut].reshape(blocks, block, 3).mean(axis=1) for values in (moves.accel, moves.gyro))
-        n = (force - accel.offset) @ accel.matrix.T
-        n /= np.linalg.norm(n, axis=1)[:, None]
-        design = (cross_matrix(n[1:-1])[:, :, :, None] * (rate[1:-1] - offset)[:, None, None, :]).reshape(-1, 9)
-        turn = ((n[2:] - n[:-2]) / (2.0 * block * step_s)).reshape(-1)
-        finite = np.isfinite(design).all(axis=1) & np.isfinite(turn)
-        normal += design[finite].T @ design[finite]
-        right += design[finite].T @ turn[finite]
-    return np.asarray(np.linalg.lstsq(normal, right, rcond=1e-10)[0].reshape(3, 3))
+    step_s = float(np.median(np.diff(moves.time)))
+    block = max(2, round(BLOCK_S / step_s))
+    blocks = len(moves.time) // block
+    force, rate = (
+        values[: blocks * block].reshape(blocks, block, 3).mean(axis=1) for values in (moves.accel, moves.gyro)
+    )
+    n = (force - accel.offset) @ accel.matrix.T
+    n /= np.linalg.norm(n, axis=1)[:, None]
+    design = cross_matrix(n[1:-1])[:, :, :, None] * (rate[1:-1] - offset)[:, None, None, :]
+    turn = (n[2:] - n[:-2]) / (2.0 * block * step_s)
+    finite = np.isfinite(design).all(axis=(1, 2, 3)) & np.isfinite(turn).all(axis=1)
+    matrix = np.linalg.lstsq(design[finite].reshape(-1, 9), turn[finite].ravel(), rcond=1e-5)[0]
+    return np.asarray(matrix.reshape(3, 3))
 
 
 _CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).transpose(0, 2, 1)  # cross product matrix of each axis
@@ -228,14 +205,14 @@ def cross_matrix(n: FloatArray) -> FloatArray:
     return np.tensordot(n, _CROSS, axes=1)
 
 
-def turned_in(moves: Moves, matrix: FloatArray, offset: FloatArray, drift: FloatArray) -> tuple[FloatArray, FloatArray]:
+def turned_in(moves: Moves, gyro: FloatArray, matrix: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the rotations C (J, 3, 3) of the moves, start to end, and the sums (J, 4, 3, 3) of their derivatives."""
     from undrift.kernels.calibrate import rotations_between
 
     j = len(moves.first)
     rotation, sums = np.empty(9 * j), np.empty(36 * j)
-    gyro, m, d = (np.ascontiguousarray(values).reshape(-1) for values in (moves.gyro, matrix, drift))
-    rotations_between(gyro, moves.time, moves.first, moves.last, m, offset, d, rotation, sums)
+    readings, m = np.ascontiguousarray(gyro).reshape(-1), np.ascontiguousarray(matrix).reshape(-1)
+    rotations_between(readings, moves.time, moves.first, moves.last, m, offset, np.zeros(3 * j), rotation, sums)
     return rotation.reshape(j, 3, 3).transpose(0, 2, 1), sums.reshape(j, 4, 3, 3)
 
 
@@ -243,6 +220,7 @@ def turned_in(moves: Moves, matrix: FloatArray, offset: FloatArray, drift: Float
 #
 # Parameters theta, raw units: M row by row, o, and H row by row. Rows: three a rest, rad/s, then two a move, rad.
 
+BLOCK_S = 0.2  # over which gravity turns little, and noise averages out
 WEAKEST_TURN = 0.05  # smallest rms turn of gravity, rad, per unit of relative gain (random turns of 90 deg give 0.4)
 FEWEST_MOVES = 5
 MOST_STEPS, WHOLE_STEPS, CONVERGED = 40, 8, 1e-6  # Gauss-Newton steps and relative change of the matrix
@@ -250,9 +228,7 @@ TURNING = 8.0  # median deviations: a still that reads more turns about the vert
 LEAST_ANGLE = 1e-10  # rad, standard deviation that every angle has at least
 LEAST_RATE = 1e-3  # smallest standard deviation of a rest, relative to the flicker
 LOOSE = 1e-4  # weight of the turns by known angles in the fit to the moves
-CONTRADICTS = (
-    0.5  # largest relative change of the matrix from the turns (a larger change indicates other axes or another clock)
-)
+CONTRADICTS = 0.5  # largest relative change of the matrix from the turns (more indicates other axes or another clock)
 HOPELESS_DEG = 20.0  # rms angle beyond which the moves do not belong to this gyroscope
 MATRIX_UNCERTAIN = {"what": "Gyroscope matrix", "record": "make more and larger turns between the poses"}
 MISS_DEG = (2.0, 8.0)  # limits of a verdict: marginal above the first, bad above the second
@@ -269,9 +245,8 @@ class _Problem:
     variance: FloatArray  # (R, 3), of the means
     noise: FloatArray  # (3,), variance of a sample
     codes: FloatArray  # (3,), rounding error of a mean at rest
-    force: FloatArray  # (N, 3), specific force in each sample, m/s2, or (N, 0) if H is not fitted
-    felt: FloatArray  # (R + J, 3), mean force in each rest and move, or (R + J, 0)
-    slip: FloatArray  # (J, 3, 3), covariance of the integral of each move by jitter of time stamps, (raw unit s)^2
+    force: FloatArray  # (N, 3), specific force in each sample, m/s2
+    felt: FloatArray  # (R + J, 3), mean force in each rest and move
     size: float  # rad/s per raw unit, roughly
     flicker: FloatArray  # (R + J, R + J), covariance of the offset about its mean over the rests, (rad/s)^2
     walk: FloatArray  # (R + J, R + J), of a walk of 1 rad/s per root second
@@ -279,21 +254,13 @@ class _Problem:
     creep: tuple[Creep, Creep] | None  # temperature of the stills, for accelerometers and gyroscopes
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _MoveRows:
-    """Rows (E,) of the fit, linearised."""
+class _Rows(NamedTuple):
+    """Rows (E,) of the fit about some parameters."""
 
-    rests: int  # rows for the rests (rows for the moves follow)
-    misfit: FloatArray  # (E,), for the current parameters
-    design: FloatArray  # (E, P)
+    misfit: FloatArray  # (E,)
+    design: FloatArray  # (E, 21)
     by_offset: FloatArray  # (E, R + J, 3), by the offset in each rest and move, rad/s
     by_still: FloatArray  # (E, K, 3), by the direction of gravity in each still
-    clock: FloatArray  # (J, 2, 2), covariance of the angles of each move by jitter of time stamps
-
-    @property
-    def rms_deg(self) -> float:
-        """Rms angle between gravity and its direction after the moves, deg."""
-        return float(np.sqrt(np.mean(self.misfit[self.rests :] ** 2))) / RADIAN_PER_DEGREE
 
 
 def fit_moves(
@@ -304,7 +271,7 @@ def fit_moves(
     creep: tuple[Creep, Creep] | None = None,
 ) -> TriadFit:
     """Fit gyroscopes to the moves between still poses, in order of time. ``creep`` contains accelerometers and gyroscopes."""
-    moves, saturated = _drop_saturated(cut_moves(records, stills))
+    moves, saturated = cut_moves(records, stills)
     if len(moves.first) < FEWEST_MOVES:
         raise NotObservable(
             f"multi-position gyro: expected {FEWEST_MOVES} moves or more between stills for {parameter_names(MATRIX_NAMES)}, got "
@@ -312,19 +279,11 @@ def fit_moves(
             "another axis between still poses of the same recording.",
             moves=len(moves.first),
         )
-    problem, matrix = _build_problem(moves, accel, records, creep, None)
-    fit, rows = _descend(problem, matrix, None)
-    _check_determined(rows, fit.theta)
-    return _judge_triad(problem, fit.theta, fit.covariance, rows, records[0].gyro_unit, saturated)
-
-
-class MatrixOfMoves(NamedTuple):
-    """Matrix of gyroscopes from the moves between rests."""
-
-    matrix: FloatArray  # (3, 3)
-    covariance: FloatArray  # (9, 9), row by row
-    warmth: FloatArray  # (9, 3), change by the slope of the scale of each sensor over temperature, one standard deviation each
-    moves: int
+    matrix = rough_matrix(moves, accel, np.median(still_moments(moves.gyro, moves.start, moves.stop)[0], axis=0))
+    problem = _build_problem(moves, accel, records, creep, matrix)
+    fit, rows = _descend(problem, matrix)
+    _check_determined(rows.design[3 * len(problem.reading) :, :9], fit.theta[:9].reshape(3, 3))
+    return _judge_triad(problem, fit, rows, records[0].gyro_unit, saturated)
 
 
 def matrix_of_moves(
@@ -334,37 +293,23 @@ def matrix_of_moves(
     turns: TriadParameters,
     *,
     creep: tuple[Creep, Creep],
-) -> MatrixOfMoves:
-    """Return the matrix that moves between rests determine in addition to turns by known angles, from readings without G.
+) -> TriadParameters:
+    """Return the matrix that moves between rests determine in addition to turns by known angles.
 
     Turns and moves together give the point of linearisation, because moves by themselves may determine a scale only to second
     order. At that point the turns are a weak prior, so that contradicting turns cannot enlarge the excess of the moves.
     """
-    moves, _ = _drop_saturated(cut_moves(records, stills))
+    moves, _ = cut_moves(records, stills)
     if not len(moves.first):
         raise NotObservable(
             "multi-position gyro: no move between rests. Record the rests and the moves in one recording."
         )
-    problem, matrix = _build_problem(moves, accel, records, creep, turns)
-    fit, rows = _descend(problem, matrix, turns)
-    refined = fit.theta[:9].reshape(3, 3)
-    if np.abs(refined - turns.matrix).max() > CONTRADICTS * np.abs(turns.matrix).max() or rows.rms_deg > MISS_DEG[1]:
+    problem = _build_problem(moves, accel, records, creep, turns.matrix)
+    fit, rows = _descend(problem, turns.matrix, np.linalg.inv(turns.covariance[:9, :9]))
+    change = np.abs(fit.theta[:9].reshape(3, 3) - turns.matrix).max()
+    if change > CONTRADICTS * np.abs(turns.matrix).max() or _rms_deg(problem, rows) > MISS_DEG[1]:
         raise PoorFit("multi-position gyro: the moves between rests contradict the turns. Check axes and clocks.")
-    warmth = fit.gains[:9] @ _scale_slopes(problem, rows, fit.theta)
-    return MatrixOfMoves(refined, fit.covariance[:9, :9], warmth, len(moves.first))
-
-
-def _drop_saturated(moves: Moves) -> tuple[Moves, tuple[Finding, ...]]:
-    """Return the moves without those in which a gyroscope sticks at the end of its range, and the finding that names them."""
-    stuck = stuck_windows([moves.gyro[a : b + 1] for a, b in zip(moves.first, moves.last, strict=True)])
-    if not stuck.any():
-        return moves, ()
-    names = tuple(
-        f"the move after still {before + 1} ({moves.time[first]:.1f}-{moves.time[last]:.1f} s)"
-        for before, first, last in zip(moves.before[stuck], moves.first[stuck], moves.last[stuck], strict=True)
-    )
-    saturated = finding("session.saturated", "warn", what="moves", count=int(stuck.sum()), of=len(stuck), pieces=names)
-    return replace(moves, first=moves.first[~stuck], last=moves.last[~stuck], before=moves.before[~stuck]), (saturated,)
+    return TriadParameters(fit.theta[:9], fit.covariance[:9, :9], {})
 
 
 def _build_problem(
@@ -372,13 +317,9 @@ def _build_problem(
     accel: TriadModel,
     records: Sequence[Record],
     creep: tuple[Creep, Creep] | None,
-    turns: TriadParameters | None,
-) -> tuple[_Problem, FloatArray]:
-    """Return the rests and moves with their sources of error, and a first matrix."""
-    reading, noise, count = still_moments(moves.gyro, moves.start, moves.stop)
-    distance = np.abs(reading - np.median(reading, axis=0))
-    rests = np.flatnonzero(np.all(distance <= TURNING * np.maximum(np.median(distance, axis=0), 1e-12), axis=1))
-    matrix = rough_matrix(moves, accel, np.median(reading, axis=0)) if turns is None else turns.matrix
+    matrix: FloatArray,
+) -> _Problem:
+    """Return the rests and moves with their sources of error, for a rough matrix."""
     size = float(np.cbrt(abs(np.linalg.det(matrix)) + 1e-18 * np.abs(matrix).max() ** 3))
     if not size > 0.0:
         raise NotObservable(
@@ -386,12 +327,15 @@ def _build_problem(
             "Check the gyroscope's columns, and turn the device by 90 deg or more about another axis between still poses.",
             moves=len(moves.first),
         )
-    force = np.nan_to_num((moves.accel - accel.offset) @ accel.matrix.T)[:, : 3 * (turns is None)]
+    reading, noise, count = still_moments(moves.gyro, moves.start, moves.stop)
+    distance = np.abs(reading - np.median(reading, axis=0))
+    rests = np.flatnonzero(np.all(distance <= TURNING * np.maximum(np.median(distance, axis=0), 1e-12), axis=1))
+    force = np.nan_to_num((moves.accel - accel.offset) @ accel.matrix.T)
     first, last = np.append(moves.start[rests], moves.first + 1), np.append(moves.stop[rests], moves.last + 1)
     span = moves.spans[np.append(rests, len(reading) + np.arange(len(moves.first)))]
     about_mean = np.eye(len(span)) - (np.arange(len(span)) < len(rests)) / len(rests)
     warmth = np.zeros(len(reading)) if creep is None else creep[1].warmth
-    problem = _Problem(
+    return _Problem(
         moves=moves,
         accel=accel,
         directions=gravity_directions(moves, accel),
@@ -401,43 +345,49 @@ def _build_problem(
         codes=code_variance(code_steps(records, rate=True), noise),
         force=force,
         felt=still_moments(force, first, last)[0],
-        slip=moves.slip,
         size=size,
         flicker=carried(about_mean, GYRO_FLICKER**2 * flicker_of_means(span) + REST_DRIFT**2 * steady_drift(span)),
         walk=carried(about_mean, walk_about_mean(span.mean(axis=1))),
         warmth=np.append(warmth[rests], 0.5 * (warmth[moves.before] + warmth[moves.before + 1])),
         creep=creep,
     )
-    return problem, matrix
 
 
-def _descend(problem: _Problem, matrix: FloatArray, turns: TriadParameters | None) -> tuple[GlsFit, _MoveRows]:
-    """Return the Gauss-Newton fit and its rows. With turns, return the fit of the moves at the solution of both together."""
-    theta = np.concatenate((matrix.ravel(), problem.reading.mean(axis=0), np.zeros(3 * problem.felt.shape[1])))
-    precision = np.zeros((len(theta), len(theta)))
-    precision[12:, 12:] = np.eye(len(theta) - 12) * (problem.size / G_SENSITIVITY) ** 2
-    loose = precision.copy()
+def _descend(problem: _Problem, matrix: FloatArray, turns: FloatArray | None = None) -> tuple[GlsFit, _Rows]:
+    """Return the Gauss-Newton fit and its rows, from a first matrix.
+
+    With the precision (9, 9) of a matrix from ``turns``, return the fit of the moves at the solution of both together.
+    """
+    theta = np.concatenate((matrix.ravel(), problem.reading.mean(axis=0), np.zeros(9)))
+    precision = np.zeros((21, 21))
+    precision[12:, 12:] = np.eye(9) * (problem.size / G_SENSITIVITY) ** 2
+    tight, loose = precision.copy(), precision.copy()
     if turns is not None:
-        precision[:9, :9] = np.linalg.inv(turns.covariance[:9, :9])
-        loose[:9, :9] = LOOSE * precision[:9, :9]
-    prior, loose_prior = Prior(mean=theta, precision=precision), Prior(mean=theta, precision=loose)
-    drift = np.zeros((len(problem.felt), 3))  # drift of the offset, rad/s
+        tight[:9, :9], loose[:9, :9] = turns, LOOSE * turns
+    mean, rests = theta, 3 * len(problem.reading)
     for count in range(MOST_STEPS):
-        share = 1.0 if count < WHOLE_STEPS else 0.5  # excesses at the edge of zero may exchange their sizes for ever
+        rows = _rows(problem, theta)
+        at_rest = np.arange(len(rows.misfit)) < rests
+        excess = {
+            "walk": _by_offset(rows, problem.walk),
+            "sway": np.where(at_rest, 1.0, 0.0),
+            "hand": np.where(at_rest, 0.0, 1.0),
+        }
+        value, sources = rows.design @ theta - rows.misfit, _sources(problem, rows, theta)
         try:
-            fit, rows = _step(problem, theta, drift, prior)
+            fit = solve(rows.design, value, sources, excess=excess, prior=Prior(mean=mean, precision=tight))
         except np.linalg.LinAlgError:
-            rows = _rows(problem, theta, drift)
-            _check_determined(rows, theta)
+            _check_determined(rows.design[rests:, :9], theta[:9].reshape(3, 3))
             break
-        weighted = np.linalg.solve(np.sum([*fit.sources.values()], axis=0), fit.residuals)
-        variance = problem.flicker + fit.excess["walk"] * problem.walk
-        drift = drift + share * (variance @ np.einsum("epa,e->pa", rows.by_offset, weighted) - drift)
-        change, theta = np.abs(fit.theta - theta)[:9].max(), theta + share * (fit.theta - theta)
+        change = np.abs(fit.theta - theta)[:9].max()
         if change < CONVERGED * problem.size:
-            return fit if turns is None else _step(problem, theta, drift, loose_prior)[0], _rows(problem, theta, drift)
+            if turns is not None:
+                fit = solve(rows.design, value, sources, excess=excess, prior=Prior(mean=mean, precision=loose))
+            return fit, rows
         if not change < 10.0 * problem.size:
             break
+        share = 1.0 if count < WHOLE_STEPS else 0.5  # excesses at the edge of zero may exchange their sizes for ever
+        theta = theta + share * (fit.theta - theta)
     raise PoorFit(
         f"multi-position gyro: no matrix converged that turns gravity through {len(problem.moves.first)} moves. "
         "Check the gyroscope's columns and the time column.",
@@ -445,96 +395,73 @@ def _descend(problem: _Problem, matrix: FloatArray, turns: TriadParameters | Non
     )
 
 
-def _step(problem: _Problem, theta: FloatArray, drift: FloatArray, prior: Prior) -> tuple[GlsFit, _MoveRows]:
-    """Return the fit with rows that are linear about parameters and a drift of the offset, and these rows."""
-    rows = _rows(problem, theta, drift)
-    value = rows.design @ theta + np.einsum("epa,pa->e", rows.by_offset, drift) - rows.misfit
-    rest_rows = np.arange(len(value)) < rows.rests
-    walk = _drift_covariance(rows, problem.walk)
-    excess = {"walk": walk, "sway": np.where(rest_rows, 1.0, 0.0), "hand": np.where(rest_rows, 0.0, 1.0)}
-    return solve(rows.design, value, _sources(problem, rows, theta), excess=excess, prior=prior), rows
-
-
-def _rows(problem: _Problem, theta: FloatArray, drift: FloatArray) -> _MoveRows:
-    """Return the rows of rests and moves for an offset drift (R + J, 3) in each, rad/s."""
+def _rows(problem: _Problem, theta: FloatArray) -> _Rows:
+    """Return the rows of rests and moves, linear about parameters."""
     moves, n, size, rests = problem.moves, problem.directions[0], problem.size, len(problem.reading)
-    matrix, offset, slope = theta[:9].reshape(3, 3), theta[9:12], theta[12:].reshape(3, -1)
-    moves = replace(moves, gyro=moves.gyro - problem.force @ slope.T)
-    turn, integral = turned_in(moves, matrix, offset, drift[rests:] / size)
-    end_direction, tangent = (
-        (turn @ n[moves.before][:, :, None])[:, :, 0],
-        _tangent(n[moves.before + 1]).transpose(0, 2, 1),
-    )
-    matrix_slopes = integral[:, 1:].transpose(0, 2, 3, 1).reshape(-1, 3, 9)  # column 3 a + b: sum of R e_a d_b dt
+    matrix, offset, slope = theta[:9].reshape(3, 3), theta[9:12], theta[12:].reshape(3, 3)
+    turn, integral = turned_in(moves, moves.gyro - problem.force @ slope.T, matrix, offset)
+    end = (turn @ n[moves.before][:, :, None])[:, :, 0]
+    tangent = _tangent(n[moves.before + 1]).transpose(0, 2, 1)
     # derivative of the angles by a small turn: d(C n) = C n x small turn
-    turn_slopes = tangent @ cross_matrix(end_direction) @ turn
-    numbers = np.arange(len(moves.first))
+    turn_slopes = tangent @ cross_matrix(end) @ turn
+    numbers, pieces = np.arange(len(moves.first)), rests + len(moves.first)
     still_slopes = np.zeros((len(numbers), 2, len(n), 3))
     still_slopes[numbers, :, moves.before] += tangent @ turn
     still_slopes[numbers, :, moves.before + 1] -= tangent
-    offset_slopes = np.zeros((3 * rests + 2 * len(numbers), len(drift), 3))
-    offset_slopes[: 3 * rests].reshape(rests, 3, len(drift), 3)[np.arange(rests), :, np.arange(rests)] = np.eye(3)
-    move_slopes = offset_slopes[3 * rests :].reshape(len(numbers), 2, len(drift), 3)
+    rest_slopes = np.zeros((rests, 3, pieces, 3))
+    rest_slopes[np.arange(rests), :, np.arange(rests)] = np.eye(3)
+    move_slopes = np.zeros((len(numbers), 2, pieces, 3))
     move_slopes[numbers, :, rests + numbers] = -turn_slopes @ integral[:, 0] @ matrix / size
-    rest_misfit = size * (offset + problem.felt[:rests] @ slope.T - problem.reading) + drift[:rests]
-    angle = (tangent @ (end_direction - n[moves.before + 1])[:, :, None]).ravel()
-    # of the angles by the integral of the readings, in the end frame
-    reading_slopes = tangent @ cross_matrix(end_direction) @ matrix
-    matrix_columns = np.zeros((3 * rests, 9)), (turn_slopes @ matrix_slopes).reshape(-1, 9)
-    g_slopes = np.einsum("epa,pb->eab", offset_slopes, problem.felt).reshape(len(offset_slopes), -1)
-    return _MoveRows(
-        rests=3 * rests,
+    by_offset = np.concatenate((rest_slopes.reshape(-1, pieces, 3), move_slopes.reshape(-1, pieces, 3)))
+    rest_misfit = size * (offset + problem.felt[:rests] @ slope.T - problem.reading)
+    angle = (tangent @ (end - n[moves.before + 1])[:, :, None]).ravel()
+    # column 3 a + b: sum of R e_a d_b dt
+    matrix_slopes = turn_slopes @ integral[:, 1:].transpose(0, 2, 3, 1).reshape(-1, 3, 9)
+    matrix_columns = np.concatenate((np.zeros((3 * rests, 9)), matrix_slopes.reshape(-1, 9)))
+    g_columns = np.einsum("epa,pb->eab", by_offset, problem.felt).reshape(len(by_offset), 9)
+    return _Rows(
         misfit=np.concatenate((rest_misfit.ravel(), angle)),
-        design=np.hstack((np.vstack(matrix_columns), size * offset_slopes.sum(axis=1), size * g_slopes)),
-        by_offset=offset_slopes,
+        design=np.hstack((matrix_columns, size * by_offset.sum(axis=1), size * g_columns)),
+        by_offset=by_offset,
         by_still=np.concatenate((np.zeros((3 * rests, len(n), 3)), still_slopes.reshape(-1, len(n), 3))),
-        clock=reading_slopes @ problem.slip @ reading_slopes.transpose(0, 2, 1),
     )
 
 
-def _drift_covariance(rows: _MoveRows, covariance: FloatArray) -> FloatArray:
+def _by_offset(rows: _Rows, covariance: FloatArray) -> FloatArray:
     """Return the covariance (E, E) of the rows, from the covariance of the offset in rests and moves (R + J, R + J)."""
     return np.asarray(np.einsum("epa,pq,fqa->ef", rows.by_offset, covariance, rows.by_offset, optimize=True))
 
 
-def _sources(problem: _Problem, rows: _MoveRows, theta: FloatArray) -> dict[str, FloatArray]:
+def _sources(problem: _Problem, rows: _Rows, theta: FloatArray) -> dict[str, FloatArray]:
     """Return the covariance (E, E) of the rows by known source."""
-    from scipy.linalg import block_diag
-
-    moves, (unit, accel_slopes, still_covariance), rests = problem.moves, problem.directions, rows.rests
+    moves, (unit, accel_slopes, still_covariance), rests = problem.moves, problem.directions, problem.reading.size
     # (rad/s)^2, mean of the axes
     sample = float((theta[:9].reshape(3, 3) ** 2 @ (problem.noise + problem.codes)).mean())
     readings = np.repeat(sample * moves.duration_s**2 / (moves.last - moves.first), 2) + LEAST_ANGLE**2
     # each rest reads one rounding error, and motion turns rounding into noise
     rest_codes = np.zeros((len(rows.misfit), 3))
     rest_codes[:rests] = np.tile(problem.size * np.sqrt(problem.codes) * np.eye(3), (len(problem.reading), 1))
-    accel_rows = np.einsum("eka,kap->ep", rows.by_still, accel_slopes)
     sources = {
         "noise": np.einsum("eka,kab,fkb->ef", rows.by_still, still_covariance, rows.by_still, optimize=True)
         + np.diag(np.append(problem.size**2 * problem.variance, readings)),
-        "clock": block_diag(np.zeros((rests, rests)), *rows.clock),
-        "accelerometer": carried(accel_rows, problem.accel.covariance[:12, :12]),
+        "accelerometer": carried(
+            np.einsum("eka,kap->ep", rows.by_still, accel_slopes), problem.accel.covariance[:12, :12]
+        ),
         "adc": rest_codes @ rest_codes.T,
-        "instability": _drift_covariance(rows, problem.flicker),
+        "instability": _by_offset(rows, problem.flicker),
     }
     if problem.creep is not None:
         accel, gyro = problem.creep
         force, gain = STANDARD_GRAVITY * unit, problem.accel.scale_factor
         columns = np.stack([accel.columns(force[:, j], float(gain[j])) for j in range(3)], axis=1)  # (K, 3, 2)
         pose_slopes = np.einsum("eka,kaj,kjs->ejs", rows.by_still, -accel_slopes[:, :, 9:], columns, optimize=True)
+        move_warmth = np.append(np.zeros(rests), np.repeat(problem.warmth[len(problem.reading) :], 2))
+        sensor_rows = (rows.design[:, :9] * theta[:9]).reshape(-1, 3, 3).sum(axis=1)
         offset_slopes = gyro.offset_per_k * np.einsum("epa,p->ea", rows.by_offset, problem.warmth)
-        slopes = np.hstack((pose_slopes.reshape(-1, 6), _scale_slopes(problem, rows, theta), offset_slopes))
+        scale_slopes = gyro.scale_per_k * move_warmth[:, None] * sensor_rows
+        slopes = np.hstack((pose_slopes.reshape(-1, 6), scale_slopes, offset_slopes))
         sources["temperature"] = slopes @ slopes.T
     return sources
-
-
-def _scale_slopes(problem: _Problem, rows: _MoveRows, theta: FloatArray) -> FloatArray:
-    """Return the change of the rows (E, 3) for one standard deviation of the slope of each gyroscope's scale."""
-    if problem.creep is None:
-        return np.zeros((len(rows.misfit), 3))
-    warmth = np.append(np.zeros(rows.rests), np.repeat(problem.warmth[len(problem.reading) :], 2))
-    sensor_rows = (rows.design[:, :9] * theta[:9]).reshape(-1, 3, 3).sum(axis=1)
-    return np.asarray(problem.creep[1].scale_per_k * warmth[:, None] * sensor_rows)
 
 
 def _tangent(n: FloatArray) -> FloatArray:
@@ -544,10 +471,14 @@ def _tangent(n: FloatArray) -> FloatArray:
     return np.stack((first, np.cross(n, first)), axis=2)
 
 
-def _check_determined(rows: _MoveRows, theta: FloatArray) -> None:
-    """Raise if a relative gain E of M = (1 + E) M turns gravity in no move."""
-    matrix_slopes = rows.design[rows.rests :, :9].reshape(-1, 3, 3)
-    gain = (matrix_slopes @ theta[:9].reshape(3, 3).T).reshape(-1, 9)
+def _rms_deg(problem: _Problem, rows: _Rows) -> float:
+    """Return the rms angle between gravity and its direction after the moves, deg."""
+    return float(np.sqrt(np.mean(rows.misfit[problem.reading.size :] ** 2))) / RADIAN_PER_DEGREE
+
+
+def _check_determined(matrix_slopes: FloatArray, matrix: FloatArray) -> None:
+    """Raise if a relative gain E of M = (1 + E) M turns gravity in no move, for the slopes (2 J, 9) of the angles."""
+    gain = (matrix_slopes.reshape(-1, 3, 3) @ matrix.T).reshape(-1, 9)
     _, singular, right = np.linalg.svd(gain, full_matrices=False)
     singular = singular / np.sqrt(len(gain))
     if singular[-1] < WEAKEST_TURN:
@@ -562,50 +493,43 @@ def _check_determined(rows: _MoveRows, theta: FloatArray) -> None:
         )
 
 
-def _judge_triad(
-    problem: _Problem,
-    theta: FloatArray,
-    covariance: FloatArray,
-    rows: _MoveRows,
-    unit_in: str,
-    saturated: tuple[Finding, ...],
-) -> TriadFit:
+def _judge_triad(problem: _Problem, fit: GlsFit, rows: _Rows, unit_in: str, saturated: tuple[Finding, ...]) -> TriadFit:
     """Return parameters as a fit with its verdict. Raise if they cannot describe this gyroscope."""
-    if rows.rms_deg > HOPELESS_DEG:
+    moves, rests, theta = problem.moves, problem.reading.size, fit.theta
+    rms_deg = _rms_deg(problem, rows)
+    if rms_deg > HOPELESS_DEG:
         raise PoorFit(
-            f"multi-position gyro: gravity ends {rows.rms_deg:.0f} deg rms off after the moves, the limit is {HOPELESS_DEG:g} deg. "
+            f"multi-position gyro: gravity ends {rms_deg:.0f} deg rms off after the moves, the limit is {HOPELESS_DEG:g} deg. "
             "Check that gyro and accel share one clock, that the sample rate is right and that no rate was beyond full scale.",
-            rms_angle_deg=rows.rms_deg,
+            rms_angle_deg=rms_deg,
         )
-    moves, matrix, offset, slope = problem.moves, theta[:9].reshape(3, 3), theta[9:12], theta[12:].reshape(3, -1)
+    matrix, offset, slope = theta[:9].reshape(3, 3), theta[9:12], theta[12:].reshape(3, 3)
     check_axis_order(np.linalg.inv(matrix), "gyro against accel", against="accelerometer")
+    jacobian = np.eye(21)  # G = M H: dG = dM H + M dH
+    jacobian[12:] = np.hstack((np.kron(np.eye(3), slope.T), np.zeros((9, 3)), np.kron(matrix, np.eye(3))))
+    covariance = carried(jacobian, fit.covariance)
     percent = 100.0 * float(np.sqrt(np.diag(covariance)[:9].max()) / np.cbrt(abs(np.linalg.det(matrix))))
-    jacobian = np.eye(len(theta))
-    if slope.size:  # G = M H: dG = dM H + M dH
-        jacobian[12:] = np.hstack((np.kron(np.eye(3), slope.T), np.zeros((9, 3)), np.kron(matrix, np.eye(3))))
-    covariance = carried(jacobian, covariance)
-    names = (*MATRIX_NAMES, *OFFSET_NAMES, *(G_NAMES if slope.size else ()))
     inside = [moves.gyro[first + 1 : last + 1] for first, last in zip(moves.first, moves.last, strict=True)]
     rate = (np.concatenate(inside) - offset) @ matrix.T
     findings = (
-        *above("multi_position.residual", rows.rms_deg, MISS_DEG, rms=rows.rms_deg, unit="deg", what="Moves"),
+        *above("multi_position.residual", rms_deg, MISS_DEG, rms=rms_deg, unit="deg", what="Moves"),
         *above("session.uncertain", percent, UNCERTAIN_PERCENT, size=percent, unit="%", **MATRIX_UNCERTAIN),
         *limited_by_codes("gyroscope", problem.codes, np.diag(covariance)[9:12], unit_in),
         *saturated,
     )
     triad = triad_fit(
-        rows.misfit[rows.rests :].reshape(-1, 2) / moves.duration_s[:, None],
+        rows.misfit[rests:].reshape(-1, 2) / moves.duration_s[:, None],
         Verdict.of(*findings),
         method="multi-position",
         unit_in=unit_in,
         unit_out="rad/s",
         matrix=matrix,
         offset=offset,
-        g_sensitivity=matrix @ slope if slope.size else None,
-        parameters=names,
+        g_sensitivity=matrix @ slope,
+        parameters=(*MATRIX_NAMES, *OFFSET_NAMES, *G_NAMES),
         covariance=covariance,
-        rank=len(names),
-        condition=scaled_condition(rows.design[rows.rests :, :9])[1],
+        rank=21,
+        condition=scaled_condition(rows.design[rests:, :9])[1],
         valid_range=(float(rate.min()), float(rate.max())),
     )
     rate_hz = float(np.median((moves.last - moves.first) / moves.duration_s))
@@ -626,6 +550,8 @@ def calibrate_poses(observed: Observed, mode: str | None, accel: TriadFit | None
 
 def calibrate_moves(observed: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
     """Fit the gyroscopes of a session to the moves between its poses."""
+    if observed.session.records[0].accel is None:
+        raise NotObservable("multi-position gyro: moves need accelerometer readings. Map the accel columns.")
     stills = _sort_stills(observed)
     creep = creep_of(observed, stills, "accel"), creep_of(observed, stills, "gyro")
     model = (accel or _fit_session_poses(observed, stills, creep[0])).model

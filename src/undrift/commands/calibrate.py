@@ -42,7 +42,6 @@ RESIDUALS = (
     "wrong gravity. The uncertainty above applies to other readings at this temperature."
 )
 INFORMATION = "Information: share of its poses and dwells in the leverage on matrix and offsets, equal weights, mean of the triads."
-FIELD = ("field_ut", "below_horizon_deg", "disturbed_percent")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -89,9 +88,7 @@ class Calibrated(Result):
         overview, extra_data = calibration_summary(calibration), dict[str, Any]()
         if self.in_motion is not None:
             figures = _motion_figures(self, self.in_motion)
-            overview = replace(
-                overview, sections=(*overview.sections, _motion_section(figures), _field_section(figures))
-            )
+            overview = replace(overview, sections=(*overview.sections, _motion_section(figures)))
             extra_data |= {"motion": figures}
         if self.log is not None:
             overview = replace(
@@ -276,43 +273,26 @@ def _check_idle(options: Mapping[str, object]) -> None:
 
 
 def _motion_figures(calibrated: Calibrated, fit: "InMotion") -> list[dict[str, Any]]:
-    """Return what motion showed of each recording: offset and its uncertainty, acceleration, and the magnetic field."""
-    import numpy as np
-
-    per_dps = fit.units[0] / RADIAN_PER_DEGREE
+    """Return the offset of each recording with its uncertainty, and the acceleration that remains."""
     names = [name for name, _ in calibrated.session.inputs if not name.endswith(".toml")]
     labels = names if len(names) == len(fit.offsets) else [f"recording {k + 1}" for k in range(len(fit.offsets))]
-    rows = zip(
-        labels, fit.offsets * per_dps, fit.offset_uncertainty * per_dps, fit.acceleration, fit.rested, strict=True
-    )
-    keys = ("recording", "offset_dps", "offset_uncertainty_dps", "acceleration_m_s2", "rested")
-    figures = [dict(zip(keys, row, strict=True)) for row in rows]
-    if (of := fit.field) is not None:
-        for number, *field in zip(of.recording, of.field_ut, np.degrees(of.dip), 100.0 * of.disturbed, strict=True):
-            figures[number] |= dict(zip(FIELD, field, strict=True))
-    return figures
+    offsets, uncertainty = fit.offsets / RADIAN_PER_DEGREE, fit.offset_uncertainty / RADIAN_PER_DEGREE
+    keys = ("recording", "offset_dps", "offset_uncertainty_dps", "acceleration_m_s2")
+    rows = zip(labels, offsets, uncertainty, fit.acceleration, strict=True)
+    return [dict(zip(keys, row, strict=True)) for row in rows]
 
 
 def _motion_section(figures: list[dict[str, Any]]) -> Section:
     """Return the offset of each recording, and how the body's own acceleration disturbed it."""
-    heads = ("recording", "x", "y", "z", "+-", "acceleration left in 5 s (m/s2)", "rest")
+    heads = ("recording", "x", "y", "z", "+-", "acceleration left in 5 s (m/s2)")
     rows = tuple(
         (
             str(row["recording"]), *(number(float(axis), ".3f") for axis in row["offset_dps"]),
             number(float(row["offset_uncertainty_dps"].max()), ".3f"), number(float(row["acceleration_m_s2"]), ".3f"),
-            "yes" if row["rested"] else "no",
         )
         for row in figures
     )  # fmt: skip
     return Section(title="Gyroscopes' offset of each recording, deg/s", columns=heads, rows=rows)
-
-
-def _field_section(figures: list[dict[str, Any]]) -> Section:
-    """Return the magnetic field of each recording. Without magnetometers, the section is empty."""
-    there = [row for row in figures if FIELD[0] in row]
-    rows = tuple((str(row["recording"]), *(number(float(row[key]), ".2f") for key in FIELD)) for row in there)
-    heads = ("recording", "size (uT)", "below the horizon (deg)", "left out as disturbed (%)")
-    return Section(title="Magnetic field of each recording", columns=heads, rows=rows)
 
 
 # ---- a calibration
