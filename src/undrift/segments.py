@@ -82,24 +82,10 @@ class StillSettings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StillThreshold:
-    """Threshold of a triad and its basis."""
-
-    channel: Literal["gyro", "accel"]
-    value: float  # largest spread d of a still window, in ``unit``, or NaN without a threshold
-    unit: str  # unit of the record's channel
-    noise_floor: float  # spread of the quietest windows, in ``unit``
-    # gap (between two peaks), all still, limit (of a bench or a hand), floors (a multiple of the noise floor), or none
-    basis: Literal["gap", "all still", "limit", "floors", "none"]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class StillSearch:
-    """Still phases, and the thresholds that separate them from motion."""
+    """Still phases of a record."""
 
     stills: tuple[Still, ...]  # in order of time, without faces
-    thresholds: tuple[StillThreshold, ...]  # one for each triad of the record
-    settings: StillSettings
     reason: str = ""  # why no still was found, or ""
 
 
@@ -121,7 +107,7 @@ def find_still(record: Record, settings: StillSettings = StillSettings(), *, rec
     Returns
     -------
     StillSearch
-        Phases, thresholds with unit and basis, and the reason if there are no phases.
+        Phases, and the reason if there are no phases.
 
     Raises
     ------
@@ -159,24 +145,43 @@ def _find(
     record: Record, settings: StillSettings, recording: int, rate_limit: float, accel_limit: float
 ) -> StillSearch:
     triads = _moments(record, settings)
-    quiet = np.ones(len(triads[0].spread), bool)
-    thresholds = [_threshold(triad, settings, triad.limit(rate_limit, accel_limit)) for triad in triads]
+    limits = [triad.limit(rate_limit, accel_limit) for triad in triads]
+    thresholds = [_threshold(triad, settings, limit) for triad, limit in zip(triads, limits, strict=True)]
+    restless = [triad.floor > threshold for triad, threshold in zip(triads, thresholds, strict=True)]
+    quiet = np.full(len(triads[0].spread), not (np.isnan(thresholds).all() or any(restless)))
     for triad, threshold in zip(triads, thresholds, strict=True):
-        if threshold.basis != "none":
-            quiet &= triad.spread <= threshold.value
-            if threshold.channel == "gyro":
-                quiet &= ~_turning(triad.mean, triad.spread, threshold)
-    if all(t.basis == "none" for t in thresholds) or any(t.value < t.noise_floor for t in thresholds):
-        quiet[:] = False
+        if not np.isnan(threshold):
+            quiet &= triad.spread <= threshold
+            if triad.channel == "gyro":
+                quiet &= ~_turning(triad, threshold)
     edge, shortest = triads[0].edge, sample_count(settings.min_duration_s, record.sample_rate_hz)
     spans = [
         (first + edge if first else 0, last + edge if last < len(quiet) else len(record))
         for first, last in runs(quiet).tolist()
     ]
     stills = tuple(Still(start=a, stop=b, recording=recording) for a, b in spans if b - a >= shortest)
-    longest = max((stop - start for start, stop in runs(quiet)), default=0) / record.sample_rate_hz
-    reason = "" if stills else _why_none(thresholds, triads, settings, longest)
-    return StillSearch(stills=stills, thresholds=tuple(thresholds), settings=settings, reason=reason)
+    if stills:
+        return StillSearch(stills=stills)
+    floors = " and ".join(f"{triad.channel} {triad.floor:.3g} {triad.unit}" for triad in triads)
+    over = [
+        f"{threshold:.3g} {triad.unit}"
+        for triad, threshold, limit in zip(triads, thresholds, limits, strict=True)
+        if threshold == limit < triad.floor
+    ]
+    if over:
+        why = f"too restless: a device at rest varies less than {' and '.join(over)}"
+    elif np.isnan(thresholds).all():
+        usual = " and ".join(f"{np.median(m.spread):.3g} {m.unit} against a floor of {m.floor:.3g}" for m in triads)
+        why = f"no gap separates rest from motion, which is too restless: half of the windows vary by more than {usual}"
+    else:
+        longest_s = max((stop - start for start, stop in runs(quiet)), default=0) / record.sample_rate_hz
+        why = f"the longest rest is too short: {longest_s:.2g} s, limit {settings.min_duration_s:g} s"
+    gyro, accel = triads[0], triads[-1]
+    accel_rests = accel.channel == "accel" and accel.floor < accel.limit(BENCH_RATE_LIMIT, BENCH_ACCEL_LIMIT)
+    if accel_rests and gyro.unit == "rad/s" and gyro.floor > BENCH_RATE_LIMIT:
+        why += " while the accelerometer rests: is the gyroscope in deg/s, not rad/s?"
+    why = f"no still phase: the quietest {settings.window_s:g} s windows vary by {floors} rms, and {why}"
+    return StillSearch(stills=(), reason=why)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -204,13 +209,6 @@ class _Moments:
         _, spread = sliding_moments(steps, min(self.window, len(steps)), 1)
         return float(_floor(spread) / np.sqrt(2.0 * self.smooth))
 
-    @property
-    def quantisation(self) -> float:
-        """Spread of rounding errors after smoothing, from the smallest steps between readings."""
-        steps = np.abs(np.diff(self.values, axis=0))
-        steps = steps[steps > 0.0]
-        return float(np.quantile(steps, 0.01)) * 0.5 / np.sqrt(self.smooth) if len(steps) else 0.0  # sqrt(3 / 12) = 0.5
-
     def limit(self, rate: float, accel: float) -> float:
         """Return a limit, rad/s or m/s2, in the unit of the readings, with their white noise, or infinity in other units."""
         if not is_physical(self.unit):
@@ -237,20 +235,28 @@ def _moments(record: Record, settings: StillSettings) -> list[_Moments]:
             f"find_still: expected a record longer than one window of {settings.window_s:g} s, got {record.duration_s:.2f} s. "
             "Record for longer, or find still phases with a shorter window_s."
         )
-    triads: list[_Moments] = []
-    if record.gyro is not None:
-        triads.append(_triad_moments("gyro", record.gyro, record.gyro_unit, window, smooth))
-    if record.accel is not None:
-        triads.append(_triad_moments("accel", record.accel, record.accel_unit, window, smooth))
+    triads = list[_Moments]()
+    readings = (("gyro", record.gyro, record.gyro_unit), ("accel", record.accel, record.accel_unit))
+    for channel, values, unit in readings:
+        if values is None:
+            continue
+        mean, spread = sliding_moments(values, window, smooth)
+        floor = _floor(spread)
+        if settings.threshold_floors is not None:
+            floor = max(floor, _rounding_spread(values, smooth))
+        triads.append(
+            _Moments(
+                channel=channel, unit=unit, values=values, mean=mean, spread=spread, floor=floor, window=window, smooth=smooth
+            )
+        )  # fmt: skip
     return triads
 
 
-def _triad_moments(
-    channel: Literal["gyro", "accel"], values: FloatArray, unit: str, window: int, smooth: int
-) -> _Moments:
-    mean, spread = sliding_moments(values, window, smooth)
-    floor, sizes = _floor(spread), {"window": window, "smooth": smooth}
-    return _Moments(channel=channel, unit=unit, values=values, mean=mean, spread=spread, floor=floor, **sizes)
+def _rounding_spread(values: FloatArray, smooth: int) -> float:
+    """Return the spread of rounding errors after smoothing, from the smallest steps between readings."""
+    steps = np.abs(np.diff(values, axis=0))
+    steps = steps[steps > 0.0]
+    return float(np.quantile(steps, 0.01)) * 0.5 / np.sqrt(smooth) if len(steps) else 0.0  # sqrt(3 / 12) = 0.5
 
 
 def sliding_moments(values: FloatArray, window: int, smooth: int) -> tuple[FloatArray, FloatArray]:
@@ -271,23 +277,20 @@ def sample_count(seconds: float, sample_rate_hz: float) -> int:
     return max(2, round(seconds * sample_rate_hz))
 
 
-def _threshold(triad: _Moments, settings: StillSettings, limit: float) -> StillThreshold:
-    none = StillThreshold(channel=triad.channel, value=np.nan, unit=triad.unit, noise_floor=triad.floor, basis="none")
+def _threshold(triad: _Moments, settings: StillSettings, limit: float) -> float:
+    """Return the largest spread of a still window, in the unit of the triad, or NaN if nothing separates rest from motion."""
     finite = triad.spread[np.isfinite(triad.spread)]
     if not len(finite):
-        return none
+        return np.nan
     if settings.threshold_floors is not None:
-        floor = max(triad.floor, triad.quantisation)
-        value = min(settings.threshold_floors * floor, triad.limit(HAND_RATE_LIMIT, HAND_ACCEL_LIMIT))
-        return replace(none, value=value, noise_floor=floor, basis="floors")
-    threshold = none
-    if (value_at_gap := _gap_above(finite, triad.floor)) is not None:
-        threshold = replace(none, value=value_at_gap, basis="gap")
-    elif np.quantile(finite, 0.99) <= _PEAK * max(triad.floor, np.finfo(float).tiny) and (
+        return min(settings.threshold_floors * triad.floor, triad.limit(HAND_RATE_LIMIT, HAND_ACCEL_LIMIT))
+    if (gap := _gap_above(finite, triad.floor)) is not None:
+        return min(gap, limit)
+    if np.quantile(finite, 0.99) <= _PEAK * max(triad.floor, np.finfo(float).tiny) and (
         is_physical(triad.unit) or float(np.median(finite)) <= _MOTION * triad.white
     ):
-        threshold = replace(none, value=max(float(finite.max()), _PEAK * triad.floor), basis="all still")
-    return replace(none, value=limit, basis="limit") if threshold.value > limit else threshold
+        return min(max(float(finite.max()), _PEAK * triad.floor), limit)
+    return np.nan
 
 
 def _gap_above(spread: FloatArray, floor: float) -> float | None:
@@ -313,22 +316,21 @@ def _gap_above(spread: FloatArray, floor: float) -> float | None:
     return floor * float(10.0 ** centre[inside[np.flatnonzero(depth <= depth[least] + 1e-12)]].mean())
 
 
-def _turning(mean: FloatArray, spread: FloatArray, threshold: StillThreshold) -> BoolArray:
-    quiet = spread <= min(threshold.value, 2.0 * threshold.noise_floor)
-    if is_physical(threshold.unit):
-        x, y, z = np.abs(mean).T
-        small = np.maximum(np.maximum(x, y), z) <= LARGEST_OFFSET / si_factor(threshold.unit, "rate")
+def _turning(triad: _Moments, threshold: float) -> BoolArray:
+    mean, spread = triad.mean, triad.spread
+    quiet = spread <= min(threshold, 2.0 * triad.floor)
+    if is_physical(triad.unit):
+        small = np.abs(mean).max(axis=1) <= LARGEST_OFFSET / si_factor(triad.unit, "rate")
         if not (quiet & small).any():
             return np.ones(len(mean), bool)
         quiet &= small
     if not quiet.any():
         return np.zeros(len(mean), bool)
     # A steady turn differs from the offset throughout. The slow drift of a warm-up crosses the offset within its stretch.
-    x, y, z = np.abs(mean - np.median(mean[quiet], axis=0)).T
-    turning_now = np.maximum(np.maximum(x, y), z) > max(_TURNING * threshold.noise_floor, threshold.value)
+    distance = np.abs(mean - np.median(mean[quiet], axis=0)).max(axis=1)
     turning = np.zeros(len(mean), bool)
-    for first, last in runs(spread <= threshold.value):
-        turning[first:last] = turning_now[first:last].all()
+    for first, last in runs(spread <= threshold):
+        turning[first:last] = (distance[first:last] > max(_TURNING * triad.floor, threshold)).all()
     return turning
 
 
@@ -383,25 +385,6 @@ def find_turning(
     settings = (TURNING_ABOVE, TURNING_MEAN_S, TURNING_HOLD_S)
     follow_turning(np.ascontiguousarray(rate).reshape(-1), np.ascontiguousarray(time), *settings, next_state, out)
     return out, tuple(next_state.tolist())
-
-
-def _why_none(
-    thresholds: list[StillThreshold], triads: list[_Moments], settings: StillSettings, longest_s: float
-) -> str:
-    floors = " and ".join(f"{t.channel} {t.noise_floor:.3g} {t.unit}" for t in thresholds)
-    over = [f"{t.value:.3g} {t.unit}" for t in thresholds if t.basis == "limit" and t.value < t.noise_floor]
-    if over:
-        why = f"too restless: a device at rest varies less than {' and '.join(over)}"
-    elif all(t.basis == "none" for t in thresholds):
-        usual = " and ".join(f"{np.median(m.spread):.3g} {m.unit} against a floor of {m.floor:.3g}" for m in triads)
-        why = f"no gap separates rest from motion, which is too restless: half of the windows vary by more than {usual}"
-    else:
-        why = f"the longest rest is too short: {longest_s:.2g} s, limit {settings.min_duration_s:g} s"
-    gyro, accel = triads[0], triads[-1]
-    accel_rests = accel.channel == "accel" and accel.floor < accel.limit(BENCH_RATE_LIMIT, BENCH_ACCEL_LIMIT)
-    if accel_rests and gyro.unit == "rad/s" and gyro.floor > BENCH_RATE_LIMIT:
-        why += " while the accelerometer rests: is the gyroscope in deg/s, not rad/s?"
-    return f"no still phase: the quietest {settings.window_s:g} s windows vary by {floors} rms, and {why}"
 
 
 # ---- faces: the sensor axis that points up, by gravity
