@@ -93,7 +93,7 @@ def test_a_device_that_slipped_between_recordings_is_less_sure():
 def test_a_named_posture_is_taken_and_a_movement_must_move_the_segment():
     record, matrix = drawn(6, "lower-back")
     found = find_mounting([record], "lower-back", stance_s=(0.2, 3.5))
-    assert "0.2 to 3.5 s" in found.basis[0]
+    assert "0.2 to 3.5 s" in found.mounting.basis
     assert np.degrees(np.linalg.norm(off(found.mounting, matrix))) < 4.0
     with pytest.raises(InputError, match="Choose walk"):
         find_mounting([record], "foot", movement="bow")

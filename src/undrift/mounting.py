@@ -7,20 +7,20 @@ Axes a are x forward, y left, z up, when the wearer stands upright. ``R_ab`` map
              points forward. Or from bows of the trunk: the vertical in b leaves ``up`` towards the back.
 
 The scatter of the pieces (walks, bows) determines the uncertainty of their mean. An error that all pieces share, because human
-movement varies, is added (``STANCE``, ``WALKS``, ``BOWS``).
+movement varies, is added (``STANCE``, ``SHARED``).
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, runs
 from undrift.calibration.triads import check_triads
 from undrift.errors import Implausible, InputError
-from undrift.findings import Finding, Verdict, finding
+from undrift.findings import Verdict, finding
 from undrift.frames import integrate_strapdown, quaternion_conjugate, rotate
 from undrift.model import AXES, BodyMounting
 from undrift.orientation import check_whole, filtered, initial_tilt, shortest_rotation_up
@@ -33,19 +33,14 @@ Movement = Literal["walk", "bow"]
 Span = tuple[float, float]
 
 
-class Cue(NamedTuple):
-    """Pieces of a movement, of simulated people, rounded up."""
-
-    scatter: float  # usual scatter of the pieces, rad
-    shared: float  # error that all pieces share, rad
-    fewest: int  # number of pieces without which forward is not determined
-
-
 STANCE = (
     0.6 * DEG,
     0.9 * DEG,
 )  # standard uncertainty of upright about x and y, rad: sway of older people in quiet stance
-WALKS, BOWS = Cue(1.5 * DEG, 0.7 * DEG, 1), Cue(3.0 * DEG, 2.0 * DEG, 2)
+# usual scatter of the pieces, rad, of simulated people, rounded up, error that all pieces share, rad, and fewest pieces
+SCATTER = {"walk": 1.5 * DEG, "bow": 3.0 * DEG}
+SHARED = {"walk": 0.7 * DEG, "bow": 2.0 * DEG}
+FEWEST = {"walk": 1, "bow": 2}
 WARN = 5.0 * DEG  # uncertainty of the mounting
 OFFSET = 0.5 * DEG  # rad/s, that gyroscopes have before the filter
 STANCE_S, EDGE_S = 3.0, 0.3  # shortest stance, and its ends, in which the body still moves, s
@@ -64,7 +59,6 @@ class MountFit:
     """Mounting of a device, as far as the recordings determine it."""
 
     mounting: BodyMounting | None  # None if an axis is not determined
-    basis: tuple[str, ...]  # basis of up and of forward
     verdict: Verdict
 
 
@@ -73,8 +67,6 @@ class _Track:
     """Stances and steps of a recording, N samples in b."""
 
     record: Record  # in SI units
-    gyro: FloatArray  # (N, 3), rad/s
-    force: FloatArray  # (N, 3), m/s2
     up: FloatArray  # (N, 3), the vertical
     quiet: BoolArray  # (N,)
     walk: BoolArray  # (N,), straight
@@ -89,38 +81,31 @@ def find_mounting(
     tracks = [_track(record) for record in records]
     stance = _up(tracks, stance_s)
     if stance is None:
-        return _undetermined("Up", f"nobody stands still and upright for {STANCE_S:g} s", ())
+        return _undetermined("Up", f"nobody stands still and upright for {STANCE_S:g} s")
     up, variances, basis = stance
-    pieces, cue = _pieces(tracks, up, movement)
-    direction = _direction(pieces, up, cue.scatter) if len(pieces) >= cue.fewest else None
+    pieces = _pieces(tracks, up, movement)
+    direction = _direction(pieces, up, SCATTER[movement]) if len(pieces) >= FEWEST[movement] else None
     if direction is None:
         why = f"{movement} at the {place}: {len(pieces)} pieces were found, which have no common direction"
-        return _undetermined("Forward", why, (basis,))
+        return _undetermined("Forward", why)
     forward, scatter = direction
-    way = f"forward by {len(pieces)} {'walks between stances' if movement == 'walk' else 'bows'}"
     worn = BodyMounting(
         place=place,
         matrix=np.stack((forward, np.cross(up, forward), up)),
-        covariance=np.diag((*variances, scatter**2 + cue.shared**2)),
-        basis=f"{basis}; {way}",
+        covariance=np.diag((*variances, scatter**2 + SHARED[movement] ** 2)),
+        basis=f"{basis}; forward by {len(pieces)} {'walks between stances' if movement == 'walk' else 'bows'}",
     )
-    uncertain = finding("mount.uncertain", "warn", degrees=worn.uncertainty / DEG, limit=WARN / DEG)
-    verdict = Verdict.of(_look(forward, up), *((uncertain,) if worn.uncertainty > WARN else ()))
-    return MountFit(mounting=worn, basis=(basis, way), verdict=verdict)
-
-
-def _undetermined(direction: str, why: str, basis: tuple[str, ...]) -> MountFit:
-    missing = finding("mount.not_determined", "fail", direction=direction, why=why)
-    return MountFit(mounting=None, basis=basis, verdict=Verdict.of(missing))
-
-
-def _look(forward: FloatArray, up: FloatArray) -> Finding:
-    """Return the finding that asks for a look at the device: a wrong sign of the accelerometers has no other effect."""
-    ahead, upward = (
-        f"{'+-'[int(side[k] < 0.0)]}{AXES[k]}" for side in (forward, up) for k in [int(np.abs(side).argmax())]
-    )
+    # a wrong sign of the accelerometers has no other effect
+    ahead, upward = (f"{'+-'[int(side[k] < 0.0)]}{AXES[k]}" for side in (forward, up) for k in [np.abs(side).argmax()])
     why = "if they do not, accelerometer columns are exchanged or have the opposite sign, which a walk cannot determine"
-    return finding("mount.look", "info", what=f"its side {ahead} points forward, its side {upward} up", why=why)
+    look = finding("mount.look", "info", what=f"its side {ahead} points forward, its side {upward} up", why=why)
+    uncertain = finding("mount.uncertain", "warn", degrees=worn.uncertainty / DEG, limit=WARN / DEG)
+    return MountFit(mounting=worn, verdict=Verdict.of(look, *((uncertain,) if worn.uncertainty > WARN else ())))
+
+
+def _undetermined(direction: str, why: str) -> MountFit:
+    missing = finding("mount.not_determined", "fail", direction=direction, why=why)
+    return MountFit(mounting=None, verdict=Verdict.of(missing))
 
 
 def _track(record: Record) -> _Track:
@@ -136,17 +121,17 @@ def _track(record: Record) -> _Track:
     check_triads(record)
     if record.accel is None or np.isnan(record.accel).any():
         raise InputError("mount: accelerometer readings without gaps are needed. Map them, or take another stretch.")
-    rate, gyro, force = record.sample_rate_hz, np.asarray(record.gyro), np.asarray(record.accel)
+    rate, gyro = record.sample_rate_hz, np.asarray(record.gyro)
     q_nb, _ = filtered(record, gyro, OFFSET, magnetometer=False)
     up = rotate(quaternion_conjugate(q_nb), np.array([0.0, 0.0, 1.0]))
     band, slow = butter(2, BAND_HZ, "bandpass", fs=rate, output="sos"), butter(2, SLOW_HZ, fs=rate, output="sos")
-    rise = sosfiltfilt(band, (force * up).sum(axis=1))
+    rise = sosfiltfilt(band, (record.accel * up).sum(axis=1))
     size = np.sqrt(np.maximum(sosfiltfilt(slow, rise**2), 0.0))
     half = max(1, round(0.25 * rate))
     tilt_rate = np.pad(np.linalg.norm(up[2 * half :] - up[: -2 * half], axis=1) * rate / (2 * half), half, mode="edge")
     spin = sosfiltfilt(slow, (gyro * up).sum(axis=1))
     quiet, walk = (tilt_rate < SWAY) & (size < QUIET), (size > STEPS) & (np.abs(spin) < TURN)
-    return _Track(record=record, gyro=gyro, force=force, up=up, quiet=quiet, walk=walk)
+    return _Track(record=record, up=up, quiet=quiet, walk=walk)
 
 
 def _up(tracks: Sequence[_Track], stance_s: Span | None) -> tuple[FloatArray, Span, str] | None:
@@ -171,14 +156,15 @@ def _up(tracks: Sequence[_Track], stance_s: Span | None) -> tuple[FloatArray, Sp
     return up, (x, y), f"up by standing from {start:.1f} to {start + length:.1f} s"
 
 
-def _pieces(tracks: Sequence[_Track], up: FloatArray, movement: Movement) -> tuple[FloatArray, Cue]:
-    """Return horizontal vectors (K, 3) in b that point forward on average, and their properties."""
-    level = np.eye(3) - np.outer(up, up)
+def _pieces(tracks: Sequence[_Track], up: FloatArray, movement: Movement) -> FloatArray:
+    """Return horizontal vectors (K, 3) in b that point forward on average."""
     if movement == "walk":
-        return np.reshape([way for track in tracks for way in _bouts(track)], (-1, 3)) @ level, WALKS
-    least = 0.3 * tracks[0].record.sample_rate_hz
-    leans = [(track, a, b) for track in tracks for a, b in runs(track.up @ up < np.cos(LEAN)) if b - a > least]
-    return np.reshape([-track.up[a:b].mean(axis=0) for track, a, b in leans], (-1, 3)) @ level, BOWS
+        ways = [way for track in tracks for way in _bouts(track)]
+    else:
+        least = 0.3 * tracks[0].record.sample_rate_hz
+        leans = [(track, a, b) for track in tracks for a, b in runs(track.up @ up < np.cos(LEAN)) if b - a > least]
+        ways = [-track.up[a:b].mean(axis=0) for track, a, b in leans]
+    return np.reshape(ways, (-1, 3)) @ (np.eye(3) - np.outer(up, up))
 
 
 def _direction(pieces: FloatArray, up: FloatArray, spread: float) -> tuple[FloatArray, float] | None:
@@ -201,22 +187,23 @@ def _direction(pieces: FloatArray, up: FloatArray, spread: float) -> tuple[Float
 def _bouts(track: _Track) -> list[FloatArray]:
     """Return the mean velocity of each walk between two stances, (3,) in b, m/s."""
     rate, edge, start = (round(track.record.sample_rate_hz * span_s) for span_s in (1.0, EDGE_S, START_S))
+    time, force, gyro = track.record.time, np.asarray(track.record.accel), np.asarray(track.record.gyro)
     rests = [(int(a) + edge, int(b) - edge) for a, b in runs(track.quiet) if b - a > rate]
     if not rests:
         return []
     # gravity at both ends of the rests measures the sway, and the gyroscopes' readings beyond it are their offset
-    ups = {k: track.force[k - edge : k + edge].mean(axis=0) for rest in rests for k in rest}
+    ups = {k: force[k - edge : k + edge].mean(axis=0) for rest in rests for k in rest}
     size = float(np.mean([np.linalg.norm(up) for up in ups.values()]))
     sway = np.sum([np.cross(ups[b], ups[a]) for a, b in rests], axis=0) / size**2
-    inner = np.concatenate([track.gyro[a:b] for a, b in rests])
-    gyro = track.gyro - inner.mean(axis=0) + sway * track.record.sample_rate_hz / len(inner)
+    inner = np.concatenate([gyro[a:b] for a, b in rests])
+    gyro = gyro - inner.mean(axis=0) + sway * track.record.sample_rate_hz / len(inner)
     velocities = []
     for (_, first), (last, _) in pairwise(rests):
         if not 3 * start <= last - first < WALK_S * rate or track.walk[first + start : last - start].mean() < 0.9:
             continue
-        rows, time = slice(first, last), track.record.time
+        rows = slice(first, last)
         q = integrate_strapdown(gyro[rows], time[rows], shortest_rotation_up(ups[first]))
-        velocity = np.cumsum(rotate(q, track.force[rows]) - [0.0, 0.0, size], axis=0) / rate
+        velocity = np.cumsum(rotate(q, force[rows]) - [0.0, 0.0, size], axis=0) / rate
         velocity -= np.linspace(0.0, 1.0, last - first)[:, None] * velocity[-1]  # the velocity ends at rest
         velocities.append(rotate(quaternion_conjugate(q), velocity * [1.0, 1.0, 0.0]).mean(axis=0))
     return velocities

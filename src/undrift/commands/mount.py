@@ -72,8 +72,9 @@ def _mount_summary(
     from undrift.base.codec import tree_of
     from undrift.io.store import verdict_json, write_calibration
 
-    worn, verdict, basis = fit.mounting, fit.verdict, Section(title="How it was found", text=fit.basis)
-    data: dict[str, Any] = {"mounting": worn and tree_of(worn), "basis": fit.basis, "output": None}
+    worn, verdict = fit.mounting, fit.verdict
+    basis = Section(title="How it was found", text=(worn.basis,) if worn else ())
+    data: dict[str, Any] = {"mounting": worn and tree_of(worn), "output": None}
     about = Summary(
         title=f"Mounting by {', '.join(path.name for path in records)}",
         answer="The recording does not determine the whole mounting. Nothing was written.",
