@@ -3,7 +3,7 @@
 The specific force f in b points up at rest. Without a rest, correction/motion.py determines its vertical part in motion. The
 shortest rotation that turns f to the z axis of n is, for f of length one::
 
-    q_nb ~ (1 + f_z, f_y, -f_x, 0)               then a turn about the z axis of n to the heading
+    q_nb ~ (1 + f_z, f_y, -f_x, 0)
 
 To first order, its error is the horizontal part of the error of f over |f|, with the sources in correction/rest.py. It has two
 components. 95 % of errors are therefore within a circle of 1.73 (equal components) to 1.96 (one component) standard uncertainties.
@@ -18,7 +18,7 @@ The pitch has no singularity until the vertical leaves the sagittal plane, where
 Strapdown drifts by the uncertainty of the offset times the time since the rest. This uncertainty combines the largest remaining
 rate at a rest (or the calibration's uncertainty, if larger), the scatter of the mean, and the change from rest to motion. A filter
 (VQF [1]_) gets the inclination from the accelerometers and tracks the offset, with that uncertainty as the prior of its bias. Its
-heading starts at the rest (6D), or is relative to magnetic east with a magnetometer (9D).
+heading is 0 at the rest (6D), or is relative to magnetic east with a magnetometer (9D).
 
 .. [1] D. Laidig, T. Seel, "VQF: Highly accurate IMU orientation estimation with bias estimation and magnetic disturbance
    rejection", Information Fusion 91, 187-204, 2023, and the package ``vqf``.
@@ -89,8 +89,8 @@ class Tilt:
         return f"standard uncertainty {total_deg:.2g} deg, 95 % within {most:.2g} deg (in deg: {shares})"
 
 
-def initial_tilt(record: Record, still: Still, *, heading: float = 0.0) -> Tilt:
-    """Find the orientation of a device at rest."""
+def initial_tilt(record: Record, still: Still) -> Tilt:
+    """Find the orientation of a device at rest, with heading 0."""
     if record.accel is None:
         raise InputError("tilt: no accelerometer readings. Map the accelerometer columns.")
     force: FloatArray = record.accel[still.start : still.stop] * si_factor(record.accel_unit, "accel")
@@ -109,10 +109,10 @@ def initial_tilt(record: Record, still: Still, *, heading: float = 0.0) -> Tilt:
             "stood still.",
             length=length,
         )
-    return _compute_tilt(record, mean, force_covariances(record, still, force), heading)
+    return _compute_tilt(record, mean, force_covariances(record, still, force))
 
 
-def _compute_tilt(record: Record, mean: FloatArray, covariances: dict[str, FloatArray], heading: float) -> Tilt:
+def _compute_tilt(record: Record, mean: FloatArray, covariances: dict[str, FloatArray]) -> Tilt:
     """Return the tilt from a specific force (3,), with its covariances (3, 3) by source."""
     from scipy.special import chdtri
 
@@ -123,9 +123,8 @@ def _compute_tilt(record: Record, mean: FloatArray, covariances: dict[str, Float
     variance = float(np.trace(total))
     # 1: errors in one component, 2: equal errors in both
     freedom = max(variance**2 / max(float((total**2).sum()), 1e-300), 1.0)
-    turn = np.array([math.cos(0.5 * heading), 0.0, 0.0, math.sin(0.5 * heading)])
     return Tilt(
-        q_nb=quaternion_product(turn, shortest_rotation_up(mean)),
+        q_nb=shortest_rotation_up(mean),
         specific_force=mean,
         inclination_uncertainty=math.sqrt(variance),
         expanded_uncertainty=math.sqrt(variance * float(chdtri(freedom, 0.05)) / freedom),
@@ -238,8 +237,6 @@ class OrientSettings:
         "strapdown", or "vqf", a filter with accelerometers over the whole record.
     magnetometer : bool
         If True, the filter also uses the magnetic field. The axes of n are then magnetic east, magnetic north and up.
-    heading : float
-        Heading at the still phase, rad. With a magnetometer, the field determines the heading.
     forward, up : str
         Device axes that point forward and up on the upright segment. They define the pitch.
     mounting : BodyMounting or None
@@ -249,7 +246,6 @@ class OrientSettings:
     offset: Literal["none", "rest", "motion"] = "none"
     method: Literal["strapdown", "vqf"] = "strapdown"
     magnetometer: bool = False
-    heading: float = 0.0
     forward: Face = "+x"
     up: Face = "+z"
     mounting: BodyMounting | None = None
@@ -308,7 +304,7 @@ def orient(
     still : Still, optional
         A still phase, by default the first detected one. Without any, gravity in motion determines tilt and offset.
     settings : OrientSettings
-        Method, offset, heading and axes.
+        Method, offset and axes.
     gyro_model : TriadModel, optional
         Model of the gyroscopes. Its covariance then counts in the uncertainty of the offset.
 
@@ -355,9 +351,9 @@ def orient(
             offsets += rates[still.start : still.stop].mean(axis=0)
         uncertainty = _offset_uncertainty(record, rests, offsets, gyro_model)
     if still is None:
-        tilt = _compute_tilt(record, motion.vertical, {"motion": motion.vertical_covariance}, settings.heading)
+        tilt = _compute_tilt(record, motion.vertical, {"motion": motion.vertical_covariance})
     else:
-        tilt = initial_tilt(record, still, heading=settings.heading)
+        tilt = initial_tilt(record, still)
     gyro = rates - offsets
     if settings.method == "vqf":
         q, field_findings = filtered(record, gyro, uncertainty, magnetometer=settings.magnetometer)
@@ -365,7 +361,9 @@ def orient(
     else:
         q = _both_ways(gyro, record.time, tilt.q_nb, anchor)
         findings += (_expected_drift(record, anchor, uncertainty, settings.offset, rested=still is not None),)
-    q, rest = _rotate_to_segment(q, settings, anchor), None if still is None else slice(still.start, still.stop)
+    if settings.mounting is not None:
+        q = _segment_orientation(q, settings.mounting, anchor, magnetometer=settings.magnetometer)
+    rest = None if still is None else slice(still.start, still.stop)
     findings += () if still is None else _check_rest(record, still)
     findings += check_pitch_axes(q, rest, settings.forward, settings.up)
     return Orientation(
@@ -382,12 +380,9 @@ def orient(
     )
 
 
-def _rotate_to_segment(q_nb: FloatArray, settings: OrientSettings, anchor: int) -> FloatArray:
-    """Return the orientations of the segment that wears the device, at the given heading, if there is a mounting."""
-    if settings.mounting is None:
-        return q_nb
-    q = settings.mounting.of_body(q_nb)
-    half = 0.0 if settings.magnetometer else 0.5 * (settings.heading - float(heading_of(q[anchor])))
+def _segment_orientation(q_nb: FloatArray, mounting: BodyMounting, anchor: int, *, magnetometer: bool) -> FloatArray:
+    q = mounting.of_body(q_nb)
+    half = 0.0 if magnetometer else -0.5 * float(heading_of(q[anchor]))  # the heading of the segment is 0 at the rest
     return quaternion_product(np.array([math.cos(half), 0.0, 0.0, math.sin(half)]), q)
 
 
@@ -491,11 +486,11 @@ def _level_at(q_nb: FloatArray, anchor: int, wanted: FloatArray) -> FloatArray:
 
 def _check_field(record: Record, settings: OrientSettings) -> None:
     """Raise if a magnetometer is requested that the record lacks, or that the settings cannot use."""
-    if settings.magnetometer and (settings.method != "vqf" or settings.heading != 0.0 or record.mag_ut is None):
-        got = "no readings" if record.mag_ut is None else f"{settings.method}, heading {settings.heading:.3g} rad"
+    if settings.magnetometer and (settings.method != "vqf" or record.mag_ut is None):
+        got = "no readings" if record.mag_ut is None else settings.method
         raise InputError(
-            "orient: a magnetometer requires its readings, the method vqf and no heading (the field determines it), "
-            f"got {got}. Omit the magnetometer, or change these settings."
+            f"orient: a magnetometer requires its readings and the method vqf, got {got}. Omit the magnetometer, or change the "
+            "method."
         )
 
 

@@ -14,7 +14,6 @@ import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 
@@ -188,7 +187,7 @@ def _find(
 class _Moments:
     """Mean and spread of the windows of a triad."""
 
-    channel: Literal["gyro", "accel"]
+    channel: str  # gyro or accel
     unit: str
     values: FloatArray  # (N, 3)
     mean: FloatArray  # (M, 3)

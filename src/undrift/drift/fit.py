@@ -336,7 +336,6 @@ def _tables(
             accel_offset=accel.offset,
             accel_uncertainty=accel.offset_uncertainty,
             accel_extrapolated=accel.extrapolated,
-            accel_visit=None,
         )
         scale = replace(
             scale or ScaleDrift(temp_c=accel.temp_c),

@@ -176,7 +176,7 @@ def fit_static(
         f"{sensor}_{name}": getattr(triad, name)
         for sensor, triad in (("gyro", gyro), ("accel", accel))
         if triad is not None
-        for name in ("offset", "uncertainty", "extrapolated", "visit")
+        for name in ("offset", "uncertainty", "extrapolated")
     }
     table = StaticDrift(
         temp_c=nodes,
