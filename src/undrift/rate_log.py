@@ -179,9 +179,8 @@ def _achieved(log: RateLog, start: float, stop: float) -> tuple[float, float]:
 
 def _recorded(record: Record, line: LagLine, start: float, stop: float) -> slice | None:
     """Return the samples of a dwell without its settling, or None if the recording does not contain it."""
-    first, last = (
-        line.later(t) + side * (SETTLE_S + 3.0 * line.uncertainty_s(t)) for t, side in ((start, 1), (stop, -1))
-    )
+    first = line.later(start) + SETTLE_S + 3.0 * line.uncertainty_s(start)
+    last = line.later(stop) - SETTLE_S - 3.0 * line.uncertainty_s(stop)
     if min(last, float(record.time[-1])) - max(first, float(record.time[0])) < LEAST_S:
         return None
     rows = slice(*(int(k) for k in np.searchsorted(record.time, (first, last))))

@@ -304,9 +304,8 @@ def _align(integral: RunningIntegral, wanted: PoseRates, lag: float) -> tuple[La
     if inside.sum() < LEAST_AVERAGES:
         return None, 0.0
     width = 0.25 * float(np.median(stop - start))
-    (late, late_inside), (early, early_inside) = (
-        integral.mean(start + shift, stop + shift) for shift in (width, -width)
-    )
+    late, late_inside = integral.mean(start + width, stop + width)
+    early, early_inside = integral.mean(start - width, stop - width)
     inside &= late_inside & early_inside
     u, w, slope = mean[inside], wanted.rate[inside], (late - early)[inside] / (2.0 * width)
     centre_u, centre_w = u.mean(axis=0), w.mean(axis=0)
@@ -453,11 +452,9 @@ def find_motion(record: Record, reference: Reference, *, lag_s: float = 0.0) -> 
     first, last = max(float(record.time[0]), float(valid_time[0])), min(float(record.time[-1]), float(valid_time[-1]))
     begins = max(float(record.time[0]), float(reference.time[0]) + lag_s)
     marked = reference.time[:0] if reference.moving is None else reference.time[reference.moving > 0.0] + lag_s
-    span = (
-        (float(marked[0]), float(marked[-1]) + float(np.median(np.diff(reference.time))))
-        if len(marked)
-        else _motion_between_stills(record)
-    )
+    span = _motion_between_stills(record) if not len(marked) else None
+    if len(marked):
+        span = float(marked[0]), float(marked[-1]) + float(np.median(np.diff(reference.time)))
     if span is not None and span[0] - begins >= LEAST_REST_S:
         return MotionSpan(start_s=span[0], stop_s=span[1], rested=True)
     start, stop = (first, last) if span is None else (max(first, span[0]), min(last, span[1]))

@@ -239,14 +239,6 @@ def test_calls_that_cannot_be_are_refused(exact):
         leave_one_out(records[:1], references[:1])
 
 
-def test_a_rest_without_readings_is_refused(exact):
-    records, references = exact
-    gyro = np.array(records[0].gyro)
-    gyro[:1500] = np.nan
-    with pytest.raises(InputError, match="rest before the motion"):
-        fit_reference([Record(time=records[0].time, gyro=gyro)], references[:1])
-
-
 def test_turning_about_one_axis_is_not_observable():
     t = np.arange(0.0, 60.0, 0.005)
     angle = np.where(t > 8.0, 1.5 * (1.0 - np.cos(1.1 * np.maximum(t - 8.0, 0.0))), 0.0)

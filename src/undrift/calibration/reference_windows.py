@@ -78,16 +78,13 @@ def window_equations(
     first = np.flatnonzero(valid[:-reach] & valid[reach:] & (gaps[:-reach] == gaps[reach:]))
     last = first + reach
     body = quaternion_product(recording.q_nb, mounting)
-    reading_turn, pose_turn = (
-        quaternion_product(quaternion_conjugate(samples[first]), samples[last]) for samples in (q, body)
-    )
+    reading_turn = quaternion_product(quaternion_conjugate(q[first]), q[last])
+    pose_turn = quaternion_product(quaternion_conjugate(body[first]), body[last])
     inverse = quaternion_conjugate(q[last])[:, None, None, :]
     gain = np.moveaxis(rotate(inverse, np.moveaxis(total[last] - total[first], 1, -1)), -1, 1)  # (n, 3, 3, channel)
     matrix_slopes = gain[..., :3].reshape(len(first), 3, 9)
     code_slopes = np.einsum("narj,rj->naj", gain[..., 4:], matrix)
-    mounting_slopes = (
-        np.swapaxes(rotation(pose_turn).as_matrix(), 1, 2) - np.eye(3) if len(first) else np.zeros((0, 3, 3))
-    )
+    mounting_slopes = np.swapaxes(rotation(pose_turn).as_matrix(), 1, 2) - np.eye(3)
     return Windows(
         turn=rotation_vector(quaternion_product(quaternion_conjugate(reading_turn), pose_turn)),
         design=np.concatenate((matrix_slopes, -gain[..., 3], code_slopes, mounting_slopes), axis=2),
@@ -131,13 +128,11 @@ def solve(
     The prior has the mean step ``prior_step`` (P,) and the standard deviation ``spread`` (P,), infinite without a prior. Windows
     overlap ``reach`` times, so a prior row is sigma sqrt(reach) / spread, for residuals of about ``scale``, rad.
     """
-    a, y = (
-        design.reshape(-1, len(prior_step)),
-        np.concatenate([recording_windows.turn for recording_windows in windows]).reshape(-1),
-    )
+    a, y = design.reshape(-1, len(prior_step)), np.concatenate([samples.turn for samples in windows]).reshape(-1)
     pull = scale * np.sqrt(reach) / spread
-    condition = full_rank(np.vstack((a, np.diag(pull))))
-    step, weight, scale = fit_huber(np.vstack((a, np.diag(pull))), np.append(y, pull * prior_step), prior=len(pull))
+    with_prior = np.vstack((a, np.diag(pull)))
+    condition = full_rank(with_prior)
+    step, weight, scale = fit_huber(with_prior, np.append(y, pull * prior_step), prior=len(pull))
     residuals, weight = y - a @ step, weight[: len(y)]
     inside = weight == 1.0
     normal = (a.T * inside) @ a + np.diag(pull**2)
