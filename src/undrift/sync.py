@@ -61,29 +61,25 @@ class RunningIntegral:
 
     def __init__(self, time: FloatArray, values: FloatArray) -> None:
         gap: BoolArray = np.asarray(np.isnan(values).any(axis=1))
-        self.time = time
-        self._values = np.where(gap[:, None], 0.0, values)
         step = np.diff(time)
         gap_before = step > LONGEST_STEP * np.median(step)
+        self.time, self._values = time, np.where(gap[:, None], 0.0, values)
         self._gaps: IntArray = np.append(0, np.cumsum(gap[1:] | gap[:-1] | gap_before))
         area = 0.5 * (self._values[1:] + self._values[:-1]) * step[:, None]
-        area_before = np.cumsum(np.concatenate((0.0 * area[:1], area[:-1])), axis=0)
-        bend = 0.5 * (np.diff(self._values, axis=0) / step[:, None])
-        # of the integral, from each sample on
-        self._pieces = np.concatenate((area_before, self._values[:-1], bend), axis=1)
+        self._area = np.cumsum(np.concatenate((0.0 * area[:1], area)), axis=0)
 
     def mean(self, start: FloatArray, stop: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Return the mean reading (K, C) of each stretch and whether it has no gap (K,)."""
-        first, first_area = self._integral_at(start)
-        last, last_area = self._integral_at(stop)
+        (first, first_area), (last, last_area) = self._integral_at(start), self._integral_at(stop)
         valid = (start >= self.time[0]) & (stop <= self.time[-1])
         valid &= self._gaps[np.minimum(last + 1, len(self.time) - 1)] == self._gaps[first]
         return np.where(valid[:, None], (last_area - first_area) / (stop - start)[:, None], 0.0), valid
 
     def _integral_at(self, t: FloatArray) -> tuple[IntArray, FloatArray]:
         k = np.clip(np.searchsorted(self.time, t, side="right") - 1, 0, len(self.time) - 2)
-        dt, (area_before, value, bend) = (t - self.time[k])[:, None], np.split(self._pieces[k], 3, axis=1)
-        return k, area_before + value * dt + bend * (dt * dt)
+        dt, value = (t - self.time[k])[:, None], self._values[k]
+        slope = (self._values[k + 1] - value) / (self.time[k + 1] - self.time[k])[:, None]
+        return k, self._area[k] + value * dt + 0.5 * slope * dt**2
 
 
 # ---- coarse lag: where readings and rates correlate most, over a wide search
