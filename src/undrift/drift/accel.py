@@ -4,28 +4,26 @@ The constant calibration turns a reading u into v = M0 (u - o0). At temperature 
 
     |P (v_k - d)| = g        M(T) = P(T) M0        offset(T) = o0 + M0^-1 d(T)
 
-P is symmetric, because the length of gravity does not determine a common rotation of all three sensors. The case axes therefore
-stay the axes of the calibration. Each temperature has a separate fit (calibration/norm.py) with nine parameters, or with six if the
-poses are on the faces. A smooth curve (fit/curve.py) goes through the parameters.
+P is diagonal: the sensitivity of each axis changes, and cross-axis terms stay the calibration's, as do the axes of the case. Each
+temperature has a separate fit (calibration/norm.py) to six poses or more, and a smooth curve (fit/curve.py) joins them.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, IntArray
-from undrift.calibration.norm import NormFit, fit_norm
+from undrift.arrays import BoolArray, FloatArray
+from undrift.calibration.norm import fit_norm
 from undrift.drift.observe import RestBlocks
 from undrift.drift.offset import bins_of, near_data
-from undrift.drift.rates import MATRIX_GAP_C, two_temperatures
+from undrift.drift.rates import MATRIX_GAP_C
 from undrift.errors import CalibrationError, InputError, NotObservable
 from undrift.fit.curve import fit_curve
-from undrift.model import Calibration, TriadModel, Verdict
+from undrift.model import Calibration, TriadModel
 from undrift.units import si_factor
 
-_ROWS, _COLUMNS = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])  # row and column of the six elements of P
-_FULL, _DIAGONAL = 9, 6  # parameters, and poses that are needed
-_ON_AXES = np.array([0, 1, 2, 6, 7, 8])  # diagonal of P, and d
+_SCALES, _OFFSETS = np.array([0, 3, 5]), np.array([6, 7, 8])  # diagonal of P, and d, among the parameters of a norm fit
+_POSES = 6  # fewest at a temperature
 _SAME_TEMPERATURE_C = 1.5
 _COVERED = 0.8  # share of the span of all poses that the fitted temperatures must cover [assumed]
 
@@ -40,7 +38,6 @@ class AccelDriftFit:
     matrix: FloatArray  # (n, 3, 3), the model's unit_out per raw unit
     matrix_uncertainty: FloatArray  # (n, 3, 3)
     extrapolated: BoolArray  # (n,), True if no poses were near
-    verdict: Verdict
 
 
 def fit_accel_drift(rests: RestBlocks, calibration: Calibration, *, temp_c: FloatArray) -> AccelDriftFit:
@@ -54,77 +51,50 @@ def fit_accel_drift(rests: RestBlocks, calibration: Calibration, *, temp_c: Floa
             "accelerometers over temperature: no rest has a reading and a temperature. Check the temperature column and the gaps."
         )
     rests = rests.taken(np.argsort(rests.temp_c, kind="stable"))
-    free, poses_c, temps, values, variances = _fit_temperatures(rests, model, calibration.gravity_m_s2)
-    curve = fit_curve(temps, values[:, free], variances[:, free]).at(temp_c)
-    value, deviation = np.zeros((2, len(temp_c), 9))
-    value[:, free], deviation[:, free] = curve.value, curve.uncertainty
-    symmetric, spread = np.zeros((2, len(temp_c), 3, 3))
-    symmetric[:, _ROWS, _COLUMNS] = symmetric[:, _COLUMNS, _ROWS] = value[:, :6]
-    spread[:, _ROWS, _COLUMNS] = spread[:, _COLUMNS, _ROWS] = deviation[:, :6]
-    cross_axis = np.zeros((3, 3))
-    if len(free) == _DIAGONAL:  # not measured: the calibration's
-        cross_axis = model.standard_uncertainty[:9].reshape(3, 3) * (1.0 - np.eye(3))
+    temps, values, variances = _fit_temperatures(rests, model, calibration.gravity_m_s2)
+    curve = fit_curve(temps, values, variances).at(temp_c)
+    (scale, offset), (scale_spread, offset_spread) = (
+        np.split(table, 2, axis=1) for table in (curve.value, curve.uncertainty)
+    )
+    cross_axis = model.standard_uncertainty[:9].reshape(3, 3) * (1.0 - np.eye(3))
     raw_per_si = model.forward_matrix / si_factor(model.unit_out, "accel")
     return AccelDriftFit(
         temp_c=temp_c,
-        offset=model.offset + value[:, 6:] @ raw_per_si.T,
-        offset_uncertainty=np.sqrt(deviation[:, 6:] ** 2 @ (raw_per_si**2).T),
-        matrix=symmetric @ model.matrix,
-        matrix_uncertainty=np.sqrt(spread**2 @ model.matrix**2 + cross_axis**2),
-        extrapolated=~near_data(temp_c, poses_c, gap_c=MATRIX_GAP_C),
-        verdict=Verdict.of(*([two_temperatures("accelerometers")] if len(temps) == 2 else [])),
+        offset=model.offset + offset @ raw_per_si.T,
+        offset_uncertainty=np.sqrt(offset_spread**2 @ (raw_per_si**2).T),
+        matrix=scale[:, :, None] * model.matrix,
+        matrix_uncertainty=np.hypot(scale_spread[:, :, None] * np.abs(model.matrix), cross_axis),
+        extrapolated=~near_data(temp_c, rests.temp_c, gap_c=MATRIX_GAP_C),
     )
 
 
 def _fit_temperatures(
     rests: RestBlocks, model: TriadModel, gravity: float
-) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Fit each temperature. Return the free parameters, all temperatures, the fitted temperatures, P and d, and their variances."""
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the fitted temperatures, (m,), the diagonal of P and d at each, (m, 6), and their variances."""
     unit, groups = si_factor(model.unit_out, "accel"), bins_of(rests.temp_c, _SAME_TEMPERATURE_C)
     v = (rests.accel - model.offset) @ model.matrix.T * unit
     variance = rests.accel_variance @ (model.matrix.T * unit) ** 2
     variance = np.where(np.isfinite(variance), variance, np.nanmedian(variance, axis=0))
-    for count in (_FULL, _DIAGONAL):
-        fits = []
-        for group in np.unique(groups):
-            poses = [np.flatnonzero((groups == group) & (rests.pose == pose)) for pose in np.unique(rests.pose)]
-            poses = [rows for rows in poses if len(rows)]
-            means = np.array([v[rows].mean(axis=0) for rows in poses])
-            variances = np.array([variance[rows].mean(axis=0) / len(rows) for rows in poses])
-            fit = _fit_poses(means, variances, gravity, count)
-            if fit is not None:
-                fits.append((rests.temp_c[groups == group].mean(), *_symmetric(fit)))
-        if len(fits) >= 2 and fits[-1][0] - fits[0][0] > _COVERED * np.ptp(rests.temp_c):
-            free = np.arange(9) if count == _FULL else _ON_AXES
-            temps, values, variances = (np.array(column) for column in zip(*fits, strict=True))
-            return free, rests.temp_c, temps, values, variances
-    raise NotObservable(
-        f"accelerometers over temperature: {len(np.unique(rests.pose))} poses over {np.ptp(rests.temp_c):.1f} degC do not "
-        "determine offset and sensitivity at two temperatures. Rest on all six faces at three temperatures.",
-        temperatures=len(fits),
-    )
-
-
-def _fit_poses(v: FloatArray, variance: FloatArray, gravity: float, count: int) -> NormFit | None:
-    if len(v) < count:
-        return None
-    try:
-        return fit_norm(v, gravity=gravity, variances=variance, cross_axis=count == _FULL)
-    except CalibrationError:
-        return None
-
-
-def _symmetric(fit: NormFit) -> tuple[FloatArray, FloatArray]:
-    """Return P's six elements and d of a solution, with the variance of each to first order."""
-
-    def symmetric(p: FloatArray) -> FloatArray:
-        solution = replace(fit, p=p)
-        values, vectors = np.linalg.eigh(solution.matrix.T @ solution.matrix)
-        root = (vectors * np.sqrt(values)) @ vectors.T
-        return np.concatenate((root[_ROWS, _COLUMNS], solution.offset))
-
-    steps = np.array([1e-6] * 6 + [1e-5] * 3)
-    jacobian = np.array(
-        [(symmetric(fit.p + step) - symmetric(fit.p - step)) / (2.0 * step.sum()) for step in np.diag(steps)]
-    ).T
-    return symmetric(fit.p), np.diag(jacobian @ fit.covariance @ jacobian.T).copy()
+    temps, values, variances = list[float](), list[FloatArray](), list[FloatArray]()
+    for group in np.unique(groups):
+        poses = [np.flatnonzero((groups == group) & (rests.pose == pose)) for pose in np.unique(rests.pose)]
+        poses = [rows for rows in poses if len(rows)]
+        means = np.array([v[rows].mean(axis=0) for rows in poses])
+        noise = np.array([variance[rows].mean(axis=0) / len(rows) for rows in poses])
+        try:
+            fit = fit_norm(means, gravity=gravity, variances=noise, cross_axis=False) if len(poses) >= _POSES else None
+        except CalibrationError:
+            continue
+        if fit is not None:
+            spread, scale = np.diag(fit.covariance), fit.scale
+            temps.append(float(rests.temp_c[groups == group].mean()))
+            values.append(np.concatenate((scale * fit.p[_SCALES], fit.offset)))
+            variances.append(np.concatenate((scale**2 * spread[_SCALES], spread[_OFFSETS] / scale**2)))
+    if len(temps) < 2 or temps[-1] - temps[0] <= _COVERED * np.ptp(rests.temp_c):
+        raise NotObservable(
+            f"accelerometers over temperature: {len(np.unique(rests.pose))} poses over {np.ptp(rests.temp_c):.1f} degC do not "
+            "determine offset and sensitivity at two temperatures. Rest on all six faces at three temperatures.",
+            temperatures=len(temps),
+        )
+    return np.array(temps), np.array(values), np.array(variances)

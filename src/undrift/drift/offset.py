@@ -75,14 +75,9 @@ class Offsets:
     blocks: RestBlocks
     value: FloatArray  # (n, 3), raw unit
     variance: FloatArray  # (n, 3), variance by noise, raw unit squared
-    step_error: FloatArray | None  # (n, 3), rounding error of the converter in each block, raw unit
+    step_error: FloatArray  # (n, 3), rounding error of the converter in each block, raw unit
     common_variance: FloatArray  # (3,), variance of the common error, raw unit squared
     flicker: FloatArray  # (3,), known variance of w, raw unit squared
-
-    def variance_of_mean(self, rows: IntArray) -> FloatArray:
-        """Return the variance of the mean of some blocks by noise and steps, (3,)."""
-        step_error = None if self.step_error is None else self.step_error[rows]
-        return variance_of_mean(self.value[rows], self.variance[rows], step_error)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -205,7 +200,7 @@ def gyro_offsets(blocks: RestBlocks, calibration: Calibration | None) -> Offsets
         blocks=blocks,
         value=blocks.gyro - felt_by_gyro(blocks, calibration),
         variance=known_variance(blocks.gyro_variance),
-        step_error=blocks.gyro_step_error,
+        step_error=np.zeros_like(blocks.gyro) if blocks.gyro_step_error is None else blocks.gyro_step_error,
         common_variance=common,
         flicker=_flicker_variance(model, GYRO_FLICKER),
     )
@@ -220,7 +215,7 @@ def accel_offsets(blocks: RestBlocks, model: TriadModel) -> Offsets:
         blocks=blocks,
         value=np.array(blocks.accel),
         variance=known_variance(blocks.accel_variance),
-        step_error=blocks.accel_step_error,
+        step_error=np.zeros_like(blocks.accel) if blocks.accel_step_error is None else blocks.accel_step_error,
         common_variance=np.zeros(3),
         flicker=_flicker_variance(model, ACCEL_FLICKER),
     )
@@ -396,15 +391,22 @@ def cells_of(offsets: Offsets, regressors: FloatArray, direction: FloatArray, *,
     width = max(CELL_C, sum(float(np.ptp(blocks.temp_c[rows])) for rows in parts) / MOST_CELLS)
     members = [rows for group in parts for rows in split_by(group, bins_of(blocks.temp_c[group], width))]
     members.sort(key=lambda rows: float(blocks.temp_c[rows].mean()))
-    first, soaked = [rows[0] for rows in members], at_soaks(blocks, used)
+    first = [rows[0] for rows in members]
+    # on a sweep the thermometer lags in use as it did in the log, and a table that contains the lag is right
+    soaked = np.array([np.ptp(blocks.temp_c[rest == rest[k]]) <= APART_C for k in first])
     flicker = flicker_correlation(blocks, members)
     return Cells(
         session=blocks.session[first],
         temp_c=np.array([blocks.temp_c[rows].mean() for rows in members]),
         value=np.array([offsets.value[rows].mean(axis=0) for rows in members]),
-        variance=np.array([offsets.variance_of_mean(rows) for rows in members]),
+        variance=np.array(
+            [
+                variance_of_mean(offsets.value[rows], offsets.variance[rows], offsets.step_error[rows])
+                for rows in members
+            ]
+        ),
         regressors=np.array([regressors[rows].mean(axis=0) for rows in members]),
-        ramp_c_per_s=np.array([(soaked * blocks.ramp_c_per_min)[rows].mean() for rows in members]) / 60.0,
+        ramp_c_per_s=soaked * np.array([blocks.ramp_c_per_min[rows].mean() for rows in members]) / 60.0,
         correlation=OWN * (rest[first][:, None] == rest[first]) + (1.0 - OWN) * flicker / np.diag(flicker).mean(),
         flicker=offsets.flicker[:, None, None] * flicker,
     )
@@ -444,19 +446,6 @@ def rests_of(blocks: RestBlocks) -> IntArray:
     number = np.full(len(blocks), -1, np.int64)
     number[order] = np.concatenate(([0], np.cumsum(np.any(another, axis=0))))
     return number
-
-
-def at_soaks(blocks: RestBlocks, used: IntArray) -> BoolArray:
-    """Return True for the blocks of sessions with separate temperatures, each no wider than a rest, (n,).
-
-    On a sweep the thermometer lags in use as it did in the log, and a table that contains the lag is right.
-    """
-    soaked = np.zeros(len(blocks), bool)
-    for rows in split_by(used, blocks.session[used]):
-        temp_c = np.sort(blocks.temp_c[rows])
-        soaks = np.split(temp_c, np.flatnonzero(np.diff(temp_c) > APART_C) + 1)
-        soaked[rows] = max(float(np.ptp(soak)) for soak in soaks) <= APART_C
-    return soaked
 
 
 def variance_of_mean(value: FloatArray, variance: FloatArray, step_error: FloatArray | None) -> FloatArray:

@@ -198,10 +198,8 @@ def fit_scale(steps: Steps, calibration: Calibration, *, temp_c: FloatArray) -> 
     jacobian = np.stack([inverse_jacobian(m) for m in matrix])
     spread = np.sqrt(np.einsum("nij,nj->ni", jacobian**2, np.where(unknown, 0.0, variance).reshape(-1, 9)))
     unit_per_si = 1.0 / si_factor(model.unit_out, "rate")
-    open_axes, two = (", ".join(AXES[j] for j in np.flatnonzero(which)) for which in (count < 2, count == 2))
+    open_axes = ", ".join(AXES[j] for j in np.flatnonzero(count < 2))
     findings = [_axis_not_turned(f"Scale factor {open_axes} over temperature")] if open_axes else []
-    if two:
-        findings.append(two_temperatures(f"scale factor {two}"))
     return ScaleFit(
         drift=ScaleDrift(
             temp_c=temp_c,
@@ -215,12 +213,6 @@ def fit_scale(steps: Steps, calibration: Calibration, *, temp_c: FloatArray) -> 
         uncertainty=np.sqrt(variance),
         verdict=Verdict.of(*steps.findings, *findings),
     )
-
-
-def two_temperatures(what: str) -> Finding:
-    """Return the finding that two temperatures determine a line only."""
-    problem = "two temperatures determine a line. Add a soak between them."
-    return finding("drift.not_observable", "warn", what=f"Curvature over temperature of {what}", problem=problem)
 
 
 def _axis_not_turned(what: str) -> Finding:
