@@ -60,7 +60,8 @@ def calibrate_rest(observed: Observed, mode: Mode | None, accel: TriadFit | None
     records, stills = observed.session.records, observed.stills
     unit, steady = records[0].gyro_unit, 0 if observed.session.turns else len(observed.plateaus())
     # Faces and poses are meant for the accelerometers. Full or steady turns were meant for the gyroscopes.
-    level: Level = "warn" if accel is None or steady or observed.turns_of(2.0 * np.pi) else "info"
+    turned = steady or (is_physical(unit) and observed.turns_of(2.0 * np.pi))
+    level: Level = "warn" if accel is None or turned else "info"
     record = f"give turn_rate_dps and axis for each of {steady} steady turns" if steady else RECORD_TURNS
     if not stills or not is_physical(unit):  # a model gives rad/s, and the scale of counts is unknown
         return Outcome(findings=(_not_observable("Gyroscope", level, record=record),))

@@ -39,7 +39,6 @@ from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
 FULL_TURN = 2.0 * np.pi  # rad
 FREE_POSES_SHARE = 0.1  # largest share of free poses among rests on faces
-SAME_POSE = 0.26  # relative to gravity: 15 deg
 CUT_OFF_S = 0.3  # a recording that turns throughout its last part is cut off
 ROOM_C = 25.0
 
@@ -210,20 +209,15 @@ class Observed:
     def turns_of(self, angle: float) -> tuple[Turn, ...]:
         """Return the turns between rests by a known angle, rad, with sign and axis from the gyroscope.
 
-        In physical units their reading is near the known angle. In counts a full turn must return the device to its pose.
+        In physical units their reading is near the known angle. In counts full turns are the largest motions.
         """
         candidates: list[tuple[Turn, float]] = []
-        full_turns = abs(angle / FULL_TURN - round(angle / FULL_TURN)) < 1e-6
         for record, search in self.turn_searches:
-            factor = si_factor(record.gyro_unit, "rate") if is_physical(record.gyro_unit) else None
+            physical, full_turns = is_physical(record.gyro_unit), round(angle / FULL_TURN, 6).is_integer()
+            factor = si_factor(record.gyro_unit, "rate") if physical else 1.0
             for turn, reading in zip(search.rotations, search.rotation_angle, strict=True):
-                main_angle, returns = reading[np.argmax(np.abs(reading))], self._returns_to_pose(turn)
-                if factor is None:
-                    matches = full_turns and returns is True
-                else:  # a move between faces that reads twice as large does not count as a full turn
-                    matches = abs(abs(main_angle) * factor - angle) < SCALE_TOLERANCE * angle and not (
-                        full_turns and returns is False
-                    )
+                main_angle = factor * float(reading[np.argmax(np.abs(reading))])
+                matches = abs(abs(main_angle) - angle) < SCALE_TOLERANCE * angle if physical else full_turns
                 if turn.axis is not None and matches:
                     candidates.append((replace(turn, angle=float(np.copysign(angle, main_angle))), abs(main_angle)))
         most = max((size for _, size in candidates), default=0.0)
@@ -231,39 +225,24 @@ class Observed:
             turn for turn, size in candidates if size * (1.0 + SCALE_TOLERANCE) > most * (1.0 - SCALE_TOLERANCE)
         )
 
-    def _returns_to_pose(self, turn: Turn) -> bool | None:
-        """Return True if gravity reads the same before and after a turn, within about 15 deg, or None if that is unknown."""
-        accel = self.session.records[turn.recording].accel
-        stills = [s for s in self.stills if s.recording == turn.recording]
-        if accel is None or len(stills) < 5:
-            return None
-        before, after = (s for s in stills if turn.start == s.stop or turn.stop == s.start)
-        change = np.diff(segments.still_means(accel, (before, after)), axis=0)
-        return bool(np.linalg.norm(change) < SAME_POSE * segments.sphere_of(segments.still_means(accel, stills))[1])
-
     def with_turns(self) -> "Observed":
         """Return the session with its turns by the known angle. Raise, with the likely cause, if an axis has no turn."""
-        angle_deg = self.settings.turn_angle_deg
+        angle_deg, cause = self.settings.turn_angle_deg, ""
         if angle_deg is None or self.session.turns:
             return self
+        for record, search in self.turn_searches:
+            check_agreement(record)
+            size, last = np.linalg.norm(np.asarray(record.gyro), axis=1), round(CUT_OFF_S * record.sample_rate_hz)
+            if search.rotations and size[-last:].min() > CUT_OFF_SHARE * size.max():
+                cause = ": a recording still turns at its end, so that its last turn is cut off"
         turns = self.turns_of(angle_deg * RADIAN_PER_DEGREE)
         if axes := [axis for axis in ("x", "y", "z") if axis not in {turn.axis for turn in turns}]:
             raise NotObservable(
                 f"turns by {angle_deg:g} deg: expected one or more about x, y and z with a rest before and after, got none about "
-                f"{', '.join(axes)}{self._cause_of_missing_turns()}. Record them, or leave the angle out.",
+                f"{', '.join(axes)}{cause}. Record them and hold each pose for 3 s, or omit the angle.",
                 count=len(turns),
             )
         return replace(self, session=replace(self.session, turns=turns))
-
-    def _cause_of_missing_turns(self) -> str:
-        """Return the cause if turns by a known angle were not found, "" if unknown. Raise if the columns are clearly wrong."""
-        for record, search in self.turn_searches:
-            for conflict in check_agreement(record):
-                return f": {conflict.values['text']}"
-            size, last = np.linalg.norm(np.asarray(record.gyro), axis=1), round(CUT_OFF_S * record.sample_rate_hz)
-            if search.rotations and size[-last:].min() > CUT_OFF_SHARE * size.max():
-                return ": a recording still turns at its end, so that its last turn is cut off"
-        return ""
 
     def without_saturated_turns(self) -> tuple["Observed", tuple[Finding, ...]]:
         """Return it without the turns in which a gyroscope sticks at the end of its range, and the finding that names them."""
