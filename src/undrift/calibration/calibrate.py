@@ -295,11 +295,7 @@ def _calibrate_gyro(observed: Observed, method: GyroFit | None, mode: Mode | Non
         outcome = GYRO_FITS[fit_name](sound, mode, accel)
         if outcome.fit is None and (method is not None or fit_name != "rest"):
             raise NotObservable("; ".join(item.text for item in outcome.findings))
-    except CalibrationError as error:
-        # Steady turns on a table are not moves between rests. Slow moves between free poses are steady too.
-        on_table = accel is not None and accel.model.method != "multi-position" and bool(sound.plateaus())
-        if not isinstance(error, NotObservable) and (method is not None or sound.session.turns or not on_table):
-            raise
+    except NotObservable as error:
         if method is not None:
             reasons = (f"gyroscope by {method}: {error}", *(item.text for item in saturated))
             raise NotObservable("; ".join(reasons), **error.numbers) from error
