@@ -33,8 +33,8 @@ from undrift.errors import NotObservable, PoorFit
 from undrift.findings import Finding, above, finding
 from undrift.fit.gls import GlsFit, Prior, carried, solve
 from undrift.fit.priors import G_SENSITIVITY, GYRO_FLICKER, REST_DRIFT, UNCERTAIN_PERCENT
-from undrift.fit.triad import TriadFit, TriadParameters, parameter_names, scaled_condition, triad_fit
-from undrift.model import G_NAMES, MATRIX_NAMES, OFFSET_NAMES, TriadModel, Verdict
+from undrift.fit.triad import TriadFit, TriadParameters, fit_of, parameter_names
+from undrift.model import MATRIX_NAMES, TriadModel, Verdict
 from undrift.record import Record, Still
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -234,24 +234,43 @@ MATRIX_UNCERTAIN = {"what": "Gyroscope matrix", "record": "make more and larger 
 MISS_DEG = (2.0, 8.0)  # limits of a verdict: marginal above the first, bad above the second
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Problem:
-    """Data of R rests and J moves, with their sources of error."""
+    """Data of R rests and J moves, with their sources of error, for a rough matrix."""
 
-    moves: Moves
-    accel: TriadModel
-    directions: Directions
-    reading: FloatArray  # (R, 3), means of the rests
-    variance: FloatArray  # (R, 3), of the means
-    noise: FloatArray  # (3,), variance of a sample
-    codes: FloatArray  # (3,), rounding error of a mean at rest
-    force: FloatArray  # (N, 3), specific force in each sample, m/s2
-    felt: FloatArray  # (R + J, 3), mean force in each rest and move
-    size: float  # rad/s per raw unit, roughly
-    flicker: FloatArray  # (R + J, R + J), covariance of the offset about its mean over the rests, (rad/s)^2
-    walk: FloatArray  # (R + J, R + J), of a walk of 1 rad/s per root second
-    warmth: FloatArray  # (R + J,), temperature minus the reference, K
-    creep: tuple[Creep, Creep] | None  # temperature of the stills, for accelerometers and gyroscopes
+    def __init__(
+        self,
+        moves: Moves,
+        accel: TriadModel,
+        records: Sequence[Record],
+        creep: tuple[Creep, Creep] | None,
+        matrix: FloatArray,
+    ) -> None:
+        self.moves, self.accel, self.directions = moves, accel, gravity_directions(moves, accel)
+        self.size = float(np.cbrt(abs(np.linalg.det(matrix)) + 1e-18 * np.abs(matrix).max() ** 3))  # rad/s per raw unit
+        if not self.size > 0.0:
+            raise NotObservable(
+                f"multi-position gyro: in {len(moves.first)} moves between stills the gyroscopes read nothing but their offset. "
+                "Check the gyroscope's columns, and turn the device by 90 deg or more about another axis between still poses.",
+                moves=len(moves.first),
+            )
+        reading, self.noise, count = still_moments(moves.gyro, moves.start, moves.stop)
+        distance = np.abs(reading - np.median(reading, axis=0))
+        rests = np.flatnonzero(np.all(distance <= TURNING * np.maximum(np.median(distance, axis=0), 1e-12), axis=1))
+        self.reading = reading[rests]  # (R, 3), means of the rests, and their variance
+        self.variance = np.maximum(self.noise / count[rests, None], (LEAST_RATE * GYRO_FLICKER / self.size) ** 2)
+        self.codes = code_variance(code_steps(records, rate=True), self.noise)  # (3,), rounding of a mean at rest
+        self.force = np.nan_to_num((moves.accel - accel.offset) @ accel.matrix.T)  # (N, 3), of each sample, m/s2
+        first, last = np.append(moves.start[rests], moves.first + 1), np.append(moves.stop[rests], moves.last + 1)
+        self.felt = still_moments(self.force, first, last)[0]  # (R + J, 3), mean force in each rest and move
+        span = moves.spans[np.append(rests, len(reading) + np.arange(len(moves.first)))]
+        about_mean = np.eye(len(span)) - (np.arange(len(span)) < len(rests)) / len(rests)
+        # (R + J, R + J), covariance of the offset about its mean over the rests, (rad/s)^2, and of a walk of 1 rad/s/sqrt(s)
+        flicker = GYRO_FLICKER**2 * flicker_of_means(span) + REST_DRIFT**2 * steady_drift(span)
+        self.flicker, self.walk = carried(about_mean, flicker), carried(about_mean, walk_about_mean(span.mean(axis=1)))
+        self.creep = creep  # of accelerometers and gyroscopes in the stills
+        warmth = np.zeros(len(reading)) if creep is None else creep[1].warmth
+        of_moves = 0.5 * (warmth[moves.before] + warmth[moves.before + 1])
+        self.warmth = np.append(warmth[rests], of_moves)  # (R + J,), temperature minus the reference, K
 
 
 class _Rows(NamedTuple):
@@ -280,7 +299,7 @@ def fit_moves(
             moves=len(moves.first),
         )
     matrix = rough_matrix(moves, accel, np.median(still_moments(moves.gyro, moves.start, moves.stop)[0], axis=0))
-    problem = _build_problem(moves, accel, records, creep, matrix)
+    problem = _Problem(moves, accel, records, creep, matrix)
     fit, rows = _descend(problem, matrix)
     _check_determined(rows.design[3 * len(problem.reading) :, :9], fit.theta[:9].reshape(3, 3))
     return _judge_triad(problem, fit, rows, records[0].gyro_unit, saturated)
@@ -304,53 +323,12 @@ def matrix_of_moves(
         raise NotObservable(
             "multi-position gyro: no move between rests. Record the rests and the moves in one recording."
         )
-    problem = _build_problem(moves, accel, records, creep, turns.matrix)
+    problem = _Problem(moves, accel, records, creep, turns.matrix)
     fit, rows = _descend(problem, turns.matrix, np.linalg.inv(turns.covariance[:9, :9]))
     change = np.abs(fit.theta[:9].reshape(3, 3) - turns.matrix).max()
     if change > CONTRADICTS * np.abs(turns.matrix).max() or _rms_deg(problem, rows) > MISS_DEG[1]:
         raise PoorFit("multi-position gyro: the moves between rests contradict the turns. Check axes and clocks.")
     return TriadParameters(fit.theta[:9], fit.covariance[:9, :9], {})
-
-
-def _build_problem(
-    moves: Moves,
-    accel: TriadModel,
-    records: Sequence[Record],
-    creep: tuple[Creep, Creep] | None,
-    matrix: FloatArray,
-) -> _Problem:
-    """Return the rests and moves with their sources of error, for a rough matrix."""
-    size = float(np.cbrt(abs(np.linalg.det(matrix)) + 1e-18 * np.abs(matrix).max() ** 3))
-    if not size > 0.0:
-        raise NotObservable(
-            f"multi-position gyro: in {len(moves.first)} moves between stills the gyroscopes read nothing but their offset. "
-            "Check the gyroscope's columns, and turn the device by 90 deg or more about another axis between still poses.",
-            moves=len(moves.first),
-        )
-    reading, noise, count = still_moments(moves.gyro, moves.start, moves.stop)
-    distance = np.abs(reading - np.median(reading, axis=0))
-    rests = np.flatnonzero(np.all(distance <= TURNING * np.maximum(np.median(distance, axis=0), 1e-12), axis=1))
-    force = np.nan_to_num((moves.accel - accel.offset) @ accel.matrix.T)
-    first, last = np.append(moves.start[rests], moves.first + 1), np.append(moves.stop[rests], moves.last + 1)
-    span = moves.spans[np.append(rests, len(reading) + np.arange(len(moves.first)))]
-    about_mean = np.eye(len(span)) - (np.arange(len(span)) < len(rests)) / len(rests)
-    warmth = np.zeros(len(reading)) if creep is None else creep[1].warmth
-    return _Problem(
-        moves=moves,
-        accel=accel,
-        directions=gravity_directions(moves, accel),
-        reading=reading[rests],
-        variance=np.maximum(noise / count[rests, None], (LEAST_RATE * GYRO_FLICKER / size) ** 2),
-        noise=noise,
-        codes=code_variance(code_steps(records, rate=True), noise),
-        force=force,
-        felt=still_moments(force, first, last)[0],
-        size=size,
-        flicker=carried(about_mean, GYRO_FLICKER**2 * flicker_of_means(span) + REST_DRIFT**2 * steady_drift(span)),
-        walk=carried(about_mean, walk_about_mean(span.mean(axis=1))),
-        warmth=np.append(warmth[rests], 0.5 * (warmth[moves.before] + warmth[moves.before + 1])),
-        creep=creep,
-    )
 
 
 def _descend(problem: _Problem, matrix: FloatArray, turns: FloatArray | None = None) -> tuple[GlsFit, _Rows]:
@@ -369,9 +347,9 @@ def _descend(problem: _Problem, matrix: FloatArray, turns: FloatArray | None = N
         rows = _rows(problem, theta)
         at_rest = np.arange(len(rows.misfit)) < rests
         excess = {
-            "walk": _by_offset(rows, problem.walk),
-            "sway": np.where(at_rest, 1.0, 0.0),
-            "hand": np.where(at_rest, 0.0, 1.0),
+            "instability walk": _by_offset(rows, problem.walk),
+            "repeatability sway": np.where(at_rest, 1.0, 0.0),
+            "repeatability hand": np.where(at_rest, 0.0, 1.0),
         }
         value, sources = rows.design @ theta - rows.misfit, _sources(problem, rows, theta)
         try:
@@ -444,9 +422,7 @@ def _sources(problem: _Problem, rows: _Rows, theta: FloatArray) -> dict[str, Flo
     sources = {
         "noise": np.einsum("eka,kab,fkb->ef", rows.by_still, still_covariance, rows.by_still, optimize=True)
         + np.diag(np.append(problem.size**2 * problem.variance, readings)),
-        "accelerometer": carried(
-            np.einsum("eka,kap->ep", rows.by_still, accel_slopes), problem.accel.covariance[:12, :12]
-        ),
+        "level": carried(np.einsum("eka,kap->ep", rows.by_still, accel_slopes), problem.accel.covariance[:12, :12]),
         "adc": rest_codes @ rest_codes.T,
         "instability": _by_offset(rows, problem.flicker),
     }
@@ -507,31 +483,23 @@ def _judge_triad(problem: _Problem, fit: GlsFit, rows: _Rows, unit_in: str, satu
     check_axis_order(np.linalg.inv(matrix), "gyro against accel", against="accelerometer")
     jacobian = np.eye(21)  # G = M H: dG = dM H + M dH
     jacobian[12:] = np.hstack((np.kron(np.eye(3), slope.T), np.zeros((9, 3)), np.kron(matrix, np.eye(3))))
-    covariance = carried(jacobian, fit.covariance)
-    percent = 100.0 * float(np.sqrt(np.diag(covariance)[:9].max()) / np.cbrt(abs(np.linalg.det(matrix))))
+    parameters = TriadParameters(
+        theta=np.append(theta[:12], matrix @ slope),
+        covariance=carried(jacobian, fit.covariance),
+        parts={name: carried(jacobian, share) for name, share in fit.budget.items()},
+    )
+    variance = np.diag(parameters.covariance)
+    percent = 100.0 * float(np.sqrt(variance[:9].max()) / np.cbrt(abs(np.linalg.det(matrix))))
     inside = [moves.gyro[first + 1 : last + 1] for first, last in zip(moves.first, moves.last, strict=True)]
-    rate = (np.concatenate(inside) - offset) @ matrix.T
     findings = (
         *above("multi_position.residual", rms_deg, MISS_DEG, rms=rms_deg, unit="deg", what="Moves"),
         *above("session.uncertain", percent, UNCERTAIN_PERCENT, size=percent, unit="%", **MATRIX_UNCERTAIN),
-        *limited_by_codes("gyroscope", problem.codes, np.diag(covariance)[9:12], unit_in),
+        *limited_by_codes("gyroscope", problem.codes, variance[9:12], unit_in),
         *saturated,
     )
-    triad = triad_fit(
-        rows.misfit[rests:].reshape(-1, 2) / moves.duration_s[:, None],
-        Verdict.of(*findings),
-        method="multi-position",
-        unit_in=unit_in,
-        unit_out="rad/s",
-        matrix=matrix,
-        offset=offset,
-        g_sensitivity=matrix @ slope,
-        parameters=(*MATRIX_NAMES, *OFFSET_NAMES, *G_NAMES),
-        covariance=covariance,
-        rank=21,
-        condition=scaled_condition(rows.design[rests:, :9])[1],
-        valid_range=(float(rate.min()), float(rate.max())),
-    )
+    residuals = rows.misfit[rests:].reshape(-1, 2) / moves.duration_s[:, None]
+    names = {"method": "multi-position", "unit_in": unit_in, "unit_out": "rad/s"}
+    triad = fit_of(parameters, (np.concatenate(inside) - offset) @ matrix.T, residuals, Verdict.of(*findings), **names)
     rate_hz = float(np.median((moves.last - moves.first) / moves.duration_s))
     check_own_scale(triad.model.scale_factor, unit_in, "rate", TOLERANCE, "gyro", sample_rate_hz=rate_hz)
     return triad

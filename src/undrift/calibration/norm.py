@@ -29,7 +29,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from undrift.arrays import FloatArray, IntArray
+from undrift.arrays import FloatArray
 from undrift.calibration.plausibility import check_gravity, check_own_scale
 from undrift.calibration.sources import Creep
 from undrift.errors import NotObservable, PoorFit
@@ -65,7 +65,7 @@ class NormFit:
     center: FloatArray  # (3,), c, raw unit
     scale: float  # k, m/s2 per raw unit
     p: FloatArray  # (9,), m'_xx m'_xy m'_xz m'_yy m'_yz m'_zz (1), o'_x o'_y o'_z (m/s2)
-    budget: Mapping[str, FloatArray]  # covariance (9, 9) of p by source, with zeros for terms that were not fitted
+    budget: Mapping[str, FloatArray]  # covariance (9, 9) of p by source
     residuals: FloatArray  # (K,), length minus gravity, m/s2
     condition: float  # condition number of the design, columns scaled to one
     gravity: float  # m/s2
@@ -104,43 +104,37 @@ def fit_norm(
     *,
     gravity: float,
     variances: FloatArray | None = None,
-    cross_axis: bool = True,
     prior_sd: float | None = None,
     creep: Creep | None = None,
     quadratic_sd: float = 0.0,
 ) -> NormFit:
     """Fit matrix and offset to mean readings (K, 3) in still poses.
 
-    ``variances`` (K, 3) belong to the means. Without them, the residuals determine the noise. With ``cross_axis`` False the
-    cross-axis terms are zero. ``prior_sd`` is their prior standard deviation, if any. ``quadratic_sd`` is s_q, 1/(m/s2). Raise
-    NotObservable if the poses do not determine a parameter, and PoorFit if no linear sensor gives these readings.
+    ``variances`` (K, 3) belong to the means. Without them, the residuals determine the noise. ``prior_sd`` is the prior standard
+    deviation of the cross-axis terms, if any. ``quadratic_sd`` is s_q, 1/(m/s2). Raise NotObservable if the poses do not determine
+    a parameter, and PoorFit if no linear sensor gives these readings.
     """
     center, radius = sphere_of(reading)
     scale = gravity / radius
     v = np.ascontiguousarray(scale * (reading - center))
     noise = np.zeros_like(v) if variances is None else variances * scale**2
-    free = np.arange(9) if cross_axis else np.array([0, 3, 5, 6, 7, 8])
-    size = np.array([1.0] * 6 + [gravity] * 3)[free]
-    precision = np.zeros(9)
+    size, precision = np.array([1.0] * 6 + [gravity] * 3), np.zeros(9)
     precision[CROSS] = 0.0 if prior_sd is None else prior_sd**-2
-    prior = Prior(mean=np.zeros(len(free)), precision=np.diag(precision[free]))
+    prior = Prior(mean=np.zeros(9), precision=np.diag(precision))
     p = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-    condition = _check_determined(v, p, free, gravity, with_prior=prior_sd is not None)
+    condition = _check_determined(v, p, gravity, with_prior=prior_sd is not None)
     hand = {"repeatability": np.ones(len(v))}
     for _ in range(MOST_STEPS):
         design, residuals = _linearised(v, p, gravity)
         sources = _sources(v, p, design, noise, creep, gravity)
         try:
-            fit = solve(design[:, free], design[:, free] @ p[free] - residuals, sources, excess=hand, prior=prior)
+            fit = solve(design, design @ p - residuals, sources, excess=hand, prior=prior)
         except (np.linalg.LinAlgError, ValueError):  # the descent ran away
             break
-        step = np.abs((fit.theta - p[free]) / size).max()
-        p[free] = fit.theta
+        step = np.abs((fit.theta - p) / size).max()
+        p = fit.theta
         if step < CONVERGED:
-            parts = {**fit.budget, "nonlinearity": _quadratic_share(v, p, design, free, fit, quadratic_sd)}
-            budget = {name: np.zeros((9, 9)) for name in parts}
-            for name, share in parts.items():
-                budget[name][np.ix_(free, free)] = share
+            budget = {**fit.budget, "nonlinearity": _quadratic_share(v, p, design, fit, quadratic_sd)}
             return NormFit(
                 center=center,
                 scale=scale,
@@ -151,7 +145,7 @@ def fit_norm(
                 gravity=gravity,
                 prior_sd=prior_sd,
             )
-        if not np.abs(p[free] / size).max() < FARTHEST:
+        if not np.abs(p / size).max() < FARTHEST:
             break
     raise PoorFit(
         f"multi-position: {len(reading)} readings do not have one length, {gravity:g} m/s2, for any linear sensor. Check that "
@@ -172,14 +166,12 @@ def _sources(
     return sources
 
 
-def _quadratic_share(
-    v: FloatArray, p: FloatArray, design: FloatArray, free: IntArray, fit: GlsFit, sd: float
-) -> FloatArray:
-    """Return the contribution of quadratic terms to the covariance (F, F) of the free parameters."""
+def _quadratic_share(v: FloatArray, p: FloatArray, design: FloatArray, fit: GlsFit, sd: float) -> FloatArray:
+    """Return the contribution of quadratic terms to the covariance (9, 9) of p."""
     gain = np.linalg.norm(np.linalg.inv(_upper(p)), axis=1)  # per sensor: v - o' = gain y
     lengths = -sd * design[:, 6:] * (v - p[6:]) ** 2 / gain  # (K, 3): N s_q
     absorbed = fit.gains @ lengths
-    bows = lengths - design[:, free] @ absorbed
+    bows = lengths - design @ absorbed
     weighted = np.linalg.solve(np.sum([*fit.sources.values()], axis=0), bows)
     size = 1.0
     for _ in range(SIZE_ROUNDS):  # the residuals may require larger terms than s_q
@@ -189,17 +181,17 @@ def _quadratic_share(
     return carried(absorbed, uncertain + np.outer(mean, mean))
 
 
-def _check_determined(v: FloatArray, p: FloatArray, free: IntArray, gravity: float, *, with_prior: bool) -> float:
+def _check_determined(v: FloatArray, p: FloatArray, gravity: float, *, with_prior: bool) -> float:
     """Return the condition number of the design. Raise if a combination of parameters changes no length."""
     size, count = np.array([gravity] * 6 + [1.0] * 3), len(v)
     prior_rows = np.sqrt(count) * size * np.eye(9)[CROSS[: 3 * with_prior]]
-    design = np.vstack((_linearised(v, p, gravity)[0], prior_rows))[:, free]
-    _, singular, right = np.linalg.svd(design / size[free], full_matrices=False)
+    design = np.vstack((_linearised(v, p, gravity)[0], prior_rows))
+    _, singular, right = np.linalg.svd(design / size, full_matrices=False)
     weak = np.append(np.flatnonzero(singular < WEAKEST * np.sqrt(count)), len(singular) - 1)
-    weakest = float(singular[-1] / np.sqrt(count)) if len(design) >= len(free) else 0.0
+    weakest = float(singular[-1] / np.sqrt(count)) if len(design) >= 9 else 0.0
     if weakest < WEAKEST:
         share = np.linalg.norm(right[weak], axis=0)
-        names = tuple(NAMES[i] for i in free[share > PART * share.max()])
+        names = tuple(NAMES[i] for i in np.flatnonzero(share > PART * share.max()))
         raise NotObservable(
             f"multi-position: expected poses that change the length by {WEAKEST:g} g or more per unit of every parameter, got "
             f"{weakest:.2g} for {parameter_names(names)}: {_advice((v - p[6:]) @ _upper(p).T, names)}.",
@@ -258,7 +250,7 @@ def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
         offset=fit.offset,
         covariance=covariance,
         budget=Budget.of(covariance, {n: np.diag(carried(carry, share)) for n, share in fit.budget.items()}, "noise"),
-        rank=int((np.diag(fit.covariance) > 0.0).sum()) - len(fit.kept),
+        rank=9 - len(fit.kept),
         condition=fit.condition,
         valid_range=(float(corrected.min()), float(corrected.max())),
     )

@@ -45,7 +45,7 @@ SOURCE_ROWS = {
     "axis": ("Rig: axis of turns", "B", "gyro"),
     "ripple": ("Rig: rate that ripples or differs from dwell to dwell", "A", "gyro"),
     "mounting": ("Rig: mounting, level of the table and wobble", "A, B", "gyro"),
-    "level": ("Level of the faces", "A", "accel"),
+    "level": ("Level of the faces, or direction of gravity in poses", "A", "accel"),
     "gravity": ("Local gravity", "B", "accel"),
     "nonlinearity": ("Quadratic terms of a data sheet's size", "B", "accel"),
     "temperature": ("Temperature during the session", "B", ""),

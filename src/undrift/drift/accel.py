@@ -24,6 +24,7 @@ from undrift.units import si_factor
 
 _SCALES, _OFFSETS = np.array([0, 3, 5]), np.array([6, 7, 8])  # diagonal of P, and d, among the parameters of a norm fit
 _POSES = 6  # fewest at a temperature
+_SQUARE = 1e-6  # prior deviation of cross-axis terms, which are not fitted
 _SAME_TEMPERATURE_C = 1.5
 _COVERED = 0.8  # share of the span of all poses that the fitted temperatures must cover [assumed]
 
@@ -83,7 +84,7 @@ def _fit_temperatures(
         means = np.array([v[rows].mean(axis=0) for rows in poses])
         noise = np.array([variance[rows].mean(axis=0) / len(rows) for rows in poses])
         try:
-            fit = fit_norm(means, gravity=gravity, variances=noise, cross_axis=False) if len(poses) >= _POSES else None
+            fit = fit_norm(means, gravity=gravity, variances=noise, prior_sd=_SQUARE) if len(poses) >= _POSES else None
         except CalibrationError:
             continue
         if fit is not None:
