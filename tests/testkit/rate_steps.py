@@ -36,11 +36,9 @@ def soaked(
     made = RateSteps(
         session=np.zeros(n, int),
         soak=np.array([s[0] for s in steps]),
-        time=np.arange(n, dtype=float),
         rate_b=np.array([s[1] for s in steps]),
         temp_c=np.array([s[2] for s in steps]),
         gyro=np.array([s[3] for s in steps]),
-        accel=np.array([s[4] for s in steps]),
         gyro_variance=np.array([s[5] for s in steps]),
     )
     return made, RestBlocks(
@@ -101,10 +99,8 @@ def computed(
     return RateSteps(
         session=np.zeros(n, int),
         soak=np.repeat(np.arange(len(temps)), n // len(temps)),
-        time=np.arange(n, dtype=float),
         temp_c=temp,
         rate_b=rate,
         gyro=reading(device.gyro, rate, warmth, force) + rng.normal(0.0, sigma, (n, 3)),
-        accel=reading(device.accel, force, warmth),
         gyro_variance=np.full((n, 3), sigma**2),
     )

@@ -53,13 +53,9 @@ class StretchMeans:
     """Means over stretches of thermal sessions, n rows."""
 
     session: IntArray  # (n,), which session, from 0
-    time: FloatArray  # (n,), middle of the stretch, s, on a clock with the recordings of a session in sequence
     temp_c: FloatArray  # (n,), mean temperature, degC, lag subtracted
     gyro: FloatArray  # (n, 3), mean reading, raw unit, or NaN if the session has no such sensors
-    accel: FloatArray  # (n, 3), likewise
-    gyro_variance: (
-        FloatArray  # (n, 3), variance of the mean from the scatter inside, raw unit squared, or NaN if unknown
-    )
+    gyro_variance: FloatArray  # (n, 3), of the mean from the scatter inside, raw unit squared, or NaN if unknown
 
     def __len__(self) -> int:
         return len(self.temp_c)
@@ -81,6 +77,8 @@ class StretchMeans:
 class RestBlocks(StretchMeans):
     """Means over blocks of rest, n rows in the order of session and time."""
 
+    time: FloatArray  # (n,), middle of the block, s, on a clock with the recordings of a session in sequence
+    accel: FloatArray  # (n, 3), mean reading, raw unit, or NaN if the session has no such sensors
     pose: IntArray  # (n,), number of the orientation (sessions have different numbers)
     power_on_s: FloatArray  # (n,), time since the first recording of the same power-on began, s
     ramp_c_per_min: FloatArray  # (n,), slope of the temperature, degC/min: above 0 while warming
@@ -115,9 +113,10 @@ def observe_rests(sessions: Sequence[Session], *, temperatures: Temperatures) ->
 
 def observe_steps(sessions: Sequence[Session], *, temperatures: Temperatures) -> RateSteps:
     """Gather the dwells at known rates from thermal sessions."""
-    numbers, values, rows3 = ("session", "soak"), ("time", "temp_c"), ("rate_b", "gyro", "accel", "gyro_variance")
-    empty: dict[str, Any] = dict.fromkeys(numbers, np.zeros(0, np.int64)) | dict.fromkeys(values, np.zeros(0))
-    parts = [RateSteps(**(empty | dict.fromkeys(rows3, np.zeros((0, 3)))))]
+    numbers, rows3 = np.zeros(0, np.int64), np.zeros((0, 3))
+    parts = [
+        RateSteps(session=numbers, soak=numbers, temp_c=np.zeros(0), rate_b=rows3, gyro=rows3, gyro_variance=rows3)
+    ]
     for number, (session, temps) in enumerate(zip(sessions, temperatures, strict=True)):
         steps = set_point_steps(session, temps) if session.means else session_steps(session, temps)
         for rows in steps:
@@ -275,7 +274,7 @@ def session_steps(session: Session, temps: Sequence[FloatArray]) -> list[RateSte
         return []
     turns.sort(key=lambda turn: (turn.recording, turn.start))
     dwells = dwell_means(session.records, turns, settle_s=SETTLE_S)
-    temp_c, accel = np.zeros(len(turns)), np.full((len(turns), 3), np.nan)
+    temp_c = np.zeros(len(turns))
     for k, turn in enumerate(turns):
         dwell_temps = temps[turn.recording][turn.start : turn.stop]
         if not np.isfinite(dwell_temps).any():
@@ -284,19 +283,14 @@ def session_steps(session: Session, temps: Sequence[FloatArray]) -> list[RateSte
                 "temp_c."
             )
         temp_c[k] = np.nanmean(dwell_temps)
-        values = session.records[turn.recording].accel
-        if values is not None and np.isfinite(values[turn.start : turn.stop]).any():
-            accel[k] = np.nanmean(values[turn.start : turn.stop], axis=0)
     return [
         RateSteps(
             session=np.zeros(len(turns), np.int64),
             soak=_soaks(temp_c),
-            time=np.zeros(len(turns)) if dwells.span is None else dwells.span.mean(axis=1),
             temp_c=temp_c,
             rate_b=dwells.axis_b * dwells.turn_rate[:, None],
             gyro=dwells.reading,
-            accel=accel,
-            gyro_variance=np.full(accel.shape, np.nan) if dwells.noise is None else dwells.noise**2,
+            gyro_variance=np.full(dwells.reading.shape, np.nan) if dwells.noise is None else dwells.noise**2,
         )
     ]
 
@@ -316,25 +310,23 @@ def _soaks(temp_c: FloatArray) -> IntArray:
 
 def set_point_rests(session: Session, temps: Sequence[FloatArray]) -> list[RestBlocks]:
     """Return the rows at rest of a session of set-points."""
-    parts, forces, ages_s = list[RestBlocks](), list[FloatArray](), _ages(session.records)
+    parts = list[RestBlocks]()
     for k, (record, means) in enumerate(zip(session.records, session.means, strict=True)):
         rows = np.flatnonzero((means.rate_b == 0.0).all(axis=1) & np.isfinite(temps[k]))
-        columns, pose = _columns(session, k, temps[k], rows), np.zeros(len(rows), np.int64)
-        for row, force in enumerate(columns["accel"]):
-            if np.isfinite(force).all():
-                same_pose = [i for i, other in enumerate(forces) if _is_same_pose(other, force)]
-                forces += [] if same_pose else [force]
-                pose[row] = same_pose[0] if same_pose else len(forces) - 1
-        no_steps = np.zeros((len(rows), 3))
+        accel, nothing = _readings(record.accel, rows), np.zeros((len(rows), 3))
+        force = np.nan_to_num(accel)
+        axis = np.abs(force).argmax(axis=1)
         parts.append(
             RestBlocks(
-                **columns,
-                pose=pose,
-                power_on_s=record.time[rows] - record.time[0] + ages_s[k],
+                **_columns(session, k, temps[k], rows),
+                time=record.time[rows] - record.time[0] + session.begins_s[k],
+                power_on_s=record.time[rows] - record.time[0],
+                accel=accel,
+                pose=2 * axis + (force[np.arange(len(rows)), axis] < 0.0),
                 ramp_c_per_min=np.zeros(len(rows)),
                 accel_variance=means.accel_uncertainty[rows] ** 2,
-                gyro_step_error=no_steps,
-                accel_step_error=no_steps,
+                gyro_step_error=nothing,
+                accel_step_error=nothing,
             )
         )
     return parts
@@ -352,16 +344,17 @@ def set_point_steps(session: Session, temps: Sequence[FloatArray]) -> list[RateS
 
 
 def _columns(session: Session, k: int, temp_c: FloatArray, rows: IntArray) -> dict[str, Any]:
-    """Return the common columns of set-point rows, at rest and turning, with NaN for a missing triad."""
-    record, nothing = session.records[k], np.full((len(session.records[k]), 3), np.nan)
+    """Return the common columns of set-point rows, at rest and turning."""
     return {
         "session": np.zeros(len(rows), np.int64),
-        "time": record.time[rows] - record.time[0] + session.begins_s[k],
         "temp_c": temp_c[rows],
-        "gyro": (nothing if record.gyro is None else record.gyro)[rows],
-        "accel": (nothing if record.accel is None else record.accel)[rows],
+        "gyro": _readings(session.records[k].gyro, rows),
         "gyro_variance": session.means[k].gyro_uncertainty[rows] ** 2,
     }
+
+
+def _readings(values: FloatArray | None, rows: IntArray) -> FloatArray:
+    return np.full((len(rows), 3), np.nan) if values is None else values[rows]
 
 
 # ---- sessions made ready

@@ -126,7 +126,7 @@ def prepared(steps: RateSteps, calibration: Calibration, *, static: StaticDrift 
         raise NotObservable(
             "rate steps: no axis turned at two rates in a soak. Turn about each axis in both directions."
         )
-    lost = len(steps) - int(rows.sum())
+    lost = int((~finite).sum() + (~rows).sum())
     left_out, why = (
         f"{lost} of {len(steps)} rate steps",
         "gaps in rate, reading or temperature, or a single rate in a soak",
