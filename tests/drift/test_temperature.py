@@ -15,6 +15,7 @@ from testkit.data import data_path, show
 from undrift.drift.observe import RestBlocks
 from undrift.drift.temperature import (
     LagState,
+    Temperature,
     check_span,
     default_smooth_s,
     estimate_lag,
@@ -283,6 +284,10 @@ def test_a_worn_sensor_without_a_thermometer_is_refused():
 TAU = 40.0
 
 
+def column(temp_c, time, noise_c=0.0):
+    return Temperature(time=time, temp_c=temp_c, noise_c=noise_c, source="column")
+
+
 def lagging(time, temp):
     """Return what a thermometer reads whose temperature is straight between samples: the exact solution."""
     said = np.empty_like(temp)
@@ -338,7 +343,7 @@ def test_a_gap_holds_and_the_next_reading_bridges_it():
 def test_a_thermometer_without_lag_is_left_alone():
     time, temp = ramp()
     np.testing.assert_array_equal(without_lag(temp, time, lag_s=0.0, smooth_s=0.0)[0], temp)
-    np.testing.assert_array_equal(without_lag_smooth(temp, time, lag_s=0.0), temp)
+    np.testing.assert_array_equal(without_lag_smooth(column(temp, time), lag_s=0.0), temp)
 
 
 def test_an_empty_chunk_changes_nothing():
@@ -351,21 +356,22 @@ def test_an_empty_chunk_changes_nothing():
 def test_for_a_fit_nothing_of_the_lag_is_left():
     time = np.arange(0.0, 3000.0, 0.5)
     temp = 20.0 + 5.0 * np.sin(time / 150.0)
-    found = without_lag_smooth(lagging(time, temp), time, lag_s=TAU)
+    found = without_lag_smooth(column(lagging(time, temp), time), lag_s=TAU)
     left = np.abs(found - temp)[1:-1].max()
     assert left < 1e-3  # central differences: tau T''' dt^2 / 6 and the bend of the input between samples, 0.3 mK
     gone = lagging(time, temp)
     gone[1000:1010] = np.nan
-    again = without_lag_smooth(gone, time, lag_s=TAU)
+    again = without_lag_smooth(column(gone, time), lag_s=TAU)
     assert np.isnan(again[1000:1010]).all()
     np.testing.assert_array_equal(again[:999], found[:999])
 
 
 def test_the_smoothing_balances_noise_and_the_lag_left():
-    assert default_smooth_s(0.0, noise_c=0.1, interval_s=0.1) == 0.0
-    assert default_smooth_s(80.0, noise_c=0.0, interval_s=0.1) == pytest.approx(4.0)  # a twentieth
-    assert default_smooth_s(80.0, noise_c=5.0, interval_s=1.0) == pytest.approx(40.0)  # a half
-    assert default_smooth_s(80.0, noise_c=0.02, interval_s=0.1) == pytest.approx(np.sqrt(0.02 * 80.0 * 60.0))
+    time = 0.1 * np.arange(10)
+    assert default_smooth_s(0.0, column(time, time, 0.1)) == 0.0
+    assert default_smooth_s(80.0, column(time, time, 0.0)) == pytest.approx(4.0)  # a twentieth
+    assert default_smooth_s(80.0, column(time, 10.0 * time, 5.0)) == pytest.approx(40.0)  # a half
+    assert default_smooth_s(80.0, column(time, time, 0.02)) == pytest.approx(np.sqrt(0.02 * 80.0 * 60.0))
 
 
 @pytest.mark.parametrize(

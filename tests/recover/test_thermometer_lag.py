@@ -93,9 +93,9 @@ def test_the_lag_is_found_and_taking_it_off_removes_what_it_costs(lag_s):
     assert abs(found.lag_s - lag_s) <= 4.0 * found.uncertainty_s + 1.0
     calm = [ramped(lag_s, ramp, seed, hysteresis=False) for ramp, seed in ((SLOW, 3), (FAST, 4))]
     trusted, record = trusted_temperature(calm[0], 0), calm[0].records[0]
-    smooth_s = default_smooth_s(found.lag_s, noise_c=trusted.noise_c, interval_s=1.0 / RATE_HZ)
+    smooth_s = default_smooth_s(found.lag_s, trusted)
     plain = static_table(trusted.temp_c, record.gyro)
-    lagless = static_table(without_lag_smooth(trusted.temp_c, record.time, lag_s=found.lag_s), record.gyro)
+    lagless = static_table(without_lag_smooth(trusted, lag_s=found.lag_s), record.gyro)
     errors = {}
     for name, session in zip(("slow", "fast"), calm, strict=True):
         ramp = session.records[0]

@@ -25,9 +25,9 @@ from undrift.drift import temperature as thermometer
 from undrift.drift import verdict as judge
 from undrift.drift.accel import AccelDriftFit, fit_accel_drift
 from undrift.drift.observe import RateSteps, RestBlocks
-from undrift.drift.offset import StaticFit, StaticSettings, felt_by_gyro, fit_static
+from undrift.drift.offset import StaticFit, StaticSettings, fit_static
 from undrift.drift.rates import DynamicFit, ScaleFit, fit_dynamic, fit_scale, prepared
-from undrift.drift.temperature import LagFit, Temperature
+from undrift.drift.temperature import LagFit
 from undrift.errors import InputError, NotObservable, check_choices
 from undrift.findings import Finding, finding
 from undrift.fit.gls import determined
@@ -48,7 +48,7 @@ from undrift.record import Session
 RANGE_C = (18.0, 75.0)  # the note's
 STEP_C = 0.5
 SURE_LAG = 3.0  # standard uncertainties: a smaller lag is not subtracted
-OUTLYING = 5.0 * 1.4826  # median absolute deviations of single readings that a table reaches beyond the smooth course
+OUTLYING = 5.0 * 1.4826  # median absolute deviations of single readings that a table reaches beyond their smooth course
 INPUTS_BEFORE = "drift_inputs_before"  # setting: number of inputs of the calibration before a thermal fit
 
 Tables = Literal["none", "scale", "dynamic", "scale + dynamic"]  # in addition to the offsets
@@ -180,23 +180,25 @@ def fit_drift(
         lag = thermometer.estimate_lag(rests)
         lag_s = lag.lag_s if lag.lag_s > SURE_LAG * lag.uncertainty_s else 0.0
     if lag_s > 0.0:
-        course, smooth_s = _remove_lag(sessions, trusted, lag_s)
+        smooth_s = max(thermometer.default_smooth_s(lag_s, temperature) for temperature in temperatures)
+        course = [
+            [thermometer.without_lag_smooth(temperature, lag_s=lag_s) for temperature in session_temperatures]
+            for session_temperatures in trusted
+        ]
         rests = observe.observe_rests(sessions, temperatures=course)
     steps = observe.observe_steps(sessions, temperatures=course)
     verdict = judge.rests_verdict(sessions, rests, steps)
     report("fitting offsets over temperature", 0.4)
-    margin_c = max(
-        _noise_in_use(s, session_temperatures, lag_s, smooth_s)
-        for s, session_temperatures in zip(sessions, trusted, strict=True)
-    )
+    # single readings, which ``correct`` looks up, reach beyond the smooth course
+    lead = lag_s / smooth_s if lag_s > 0.0 else 1.0
+    margin_c = OUTLYING * lead * max(temperature.scatter_c for temperature in temperatures)
     seen_c = np.concatenate((rests.temp_c, steps.temp_c))
     nodes = table_nodes(np.array([seen_c.min() - margin_c, seen_c.max() + margin_c]), settings.step_c)
     accel, accel_verdict = _accelerometers(rests, device, nodes)
     static_settings = replace(settings.static, accel=accel is None, lag_uncertainty_s=_lag_uncertainty(lag, lag_s))
     static = fit_static(rests, nodes=nodes, calibration=device, settings=static_settings)
     judge.check_sessions(static, device)
-    verdict = verdict.also(judge.offsets_verdict(static, device, felt_by_gyro(rests, device).mean(axis=0)))
-    verdict = verdict.also(judge.gravity_verdict(rests, device))
+    verdict = verdict.also(judge.offsets_verdict(static, device)).also(judge.gravity_verdict(rests, device))
     report("fitting scale and dynamic drift", 0.5)
     scale, dynamic, rates_verdict = _fit_rates(steps, device, static, settings.tables)
     verdict = verdict.also(judge.turns_verdict(scale, device)).also(rates_verdict)
@@ -249,32 +251,6 @@ def _lag_uncertainty(lag: LagFit | None, subtracted_s: float) -> float:
         return 0.0
     left_s = np.inf if lag is None else np.hypot(lag.uncertainty_s, lag.lag_s - subtracted_s)
     return float(min(left_s, THERMOMETER_LAG))
-
-
-def _remove_lag(
-    sessions: Sequence[Session], trusted: Sequence[Sequence[Temperature]], lag_s: float
-) -> tuple[list[list[FloatArray]], float]:
-    """Return the temperatures of the sensors, and the smoothing with which a correction subtracts the lag, s."""
-    course, smooth_s = list[list[FloatArray]](), 0.0
-    for session, session_temperatures in zip(sessions, trusted, strict=True):
-        course.append([temperature.temp_c for temperature in session_temperatures])
-        for k, (record, temperature) in enumerate(zip(session.records, session_temperatures, strict=True)):
-            interval_s = float(np.median(np.diff(record.time)))
-            noisy_s = thermometer.default_smooth_s(lag_s, noise_c=temperature.noise_c, interval_s=interval_s)
-            smooth_s = max(smooth_s, noisy_s)
-            if temperature.source == "column":
-                course[-1][k] = thermometer.without_lag_smooth(temperature.temp_c, record.time, lag_s=lag_s)
-    return course, smooth_s
-
-
-def _noise_in_use(session: Session, trusted: Sequence[Temperature], lag_s: float, smooth_s: float) -> float:
-    """Return the largest difference between single readings, which ``correct`` uses, and the smooth temperature of a session, K."""
-    deviations = [
-        float(np.nanmedian(np.abs(record.temp_c - temperature.temp_c)))
-        for record, temperature in zip(session.records, trusted, strict=True)
-        if record.temp_c is not None and temperature.source == "column"
-    ]
-    return max(deviations, default=0.0) * OUTLYING * (lag_s / smooth_s if lag_s > 0.0 else 1.0)
 
 
 def table_nodes(seen_c: FloatArray, step_c: float) -> FloatArray:

@@ -284,8 +284,6 @@ class Surface:
     coefficients: FloatArray  # (P,), c in the splines that vanish at rate zero
     covariance: FloatArray  # (P, P), of c, (rad/s)^2
     softness: tuple[float, float]  # s_w and s_T, in spans and residuals
-    excess: float  # standard deviation of the residuals beyond their known variances, rad/s
-    residuals: FloatArray  # (n,), rad/s
 
     def at(self, turn_rate: FloatArray, temp_c: FloatArray) -> FloatArray:
         """Return e at points (n,), rad/s."""
@@ -432,8 +430,6 @@ def fit_surface(points: SurfacePoints, *, rate_span: tuple[float, float], temp_s
         coefficients=c[:p],
         covariance=covariance[:p, :p],
         softness=best,
-        excess=float(np.sqrt(excess)),
-        residuals=value - x @ c,
     )
 
 

@@ -70,8 +70,10 @@ Source = Literal["column", "set-points", "means"]  # means: rows that are means 
 class Temperature:
     """Temperature of a recording, N samples."""
 
+    time: FloatArray  # (N,), s
     temp_c: FloatArray  # (N,), smooth temperature, degC, or NaN if unknown
     noise_c: float = 0.0  # standard deviation of the mean of a second by noise and steps, K
+    scatter_c: float = 0.0  # median distance of readings from the smooth temperature, K
     source: Source
     findings: tuple[Finding, ...] = ()  # doubts about the column
 
@@ -104,7 +106,7 @@ def trusted_temperature(session: Session, index: int) -> Temperature:
         )
     if source == "column":
         return _column_temperature(temp_c, record.time, set_points, index)
-    return Temperature(temp_c=temp_c, source=source)
+    return Temperature(time=record.time, temp_c=temp_c, source=source)
 
 
 def check_span(temperatures: Sequence[Temperature]) -> float:
@@ -149,7 +151,14 @@ def _column_temperature(
     if abs(difference) > OFF_SET_POINT_C:
         problem = f"{difference:+.1f} degC from the set-point of {set_point:.1f} degC, over {OFF_SET_POINT_C:g} degC"
         findings.append(finding("drift.temperature_implausible", "warn", recording=index, problem=problem))
-    return Temperature(temp_c=temp_c, noise_c=noise_c, source="column", findings=tuple(findings))
+    return Temperature(
+        time=time,
+        temp_c=temp_c,
+        noise_c=noise_c,
+        scatter_c=float(np.nanmedian(np.abs(readings - temp_c))),
+        source="column",
+        findings=tuple(findings),
+    )
 
 
 def _spikes(temp_c: FloatArray, step_c: float) -> BoolArray:
@@ -250,23 +259,23 @@ def without_lag(
     return y, LagState(time=last_s, temp_c=last_c, smooth_c=low, output_c=output)
 
 
-def without_lag_smooth(temp_c: FloatArray, time: FloatArray, *, lag_s: float) -> FloatArray:
-    """Subtract the lag from a temperature that is smooth over time, for a fit: ``T = T_m + tau dT_m/dt``."""
-    out = np.array(temp_c, dtype=np.float64)
+def without_lag_smooth(temperature: Temperature, *, lag_s: float) -> FloatArray:
+    """Subtract the lag from the smooth temperature of a column, for a fit: ``T = T_m + tau dT_m/dt``."""
+    out = np.array(temperature.temp_c, dtype=np.float64)
     for start, stop in runs(np.isfinite(out)):
-        if lag_s > 0.0 and stop - start > 1:
-            out[start:stop] += lag_s * np.gradient(out[start:stop], time[start:stop])
+        if temperature.source == "column" and stop - start > 1:
+            out[start:stop] += lag_s * np.gradient(out[start:stop], temperature.time[start:stop])
     return out
 
 
-def default_smooth_s(lag_s: float, *, noise_c: float, interval_s: float) -> float:
+def default_smooth_s(lag_s: float, temperature: Temperature) -> float:
     """Return the remaining lag, s, for which amplified noise and lag have the same effect at 1 degC/min.
 
     The lead amplifies the noise n of the mean of a second by tau / tau_f, and leaves the error tau_f dT/dt. They are equal at
     tau_f = sqrt(n tau / (dT/dt)), limited to the range from a twentieth to a half of tau and to more than one interval.
     """
-    balanced_s = math.sqrt(noise_c * lag_s / (RAMP_C_PER_MIN / 60.0))
-    return min(0.5 * lag_s, max(0.05 * lag_s, balanced_s, interval_s))
+    balanced_s = math.sqrt(temperature.noise_c * lag_s / (RAMP_C_PER_MIN / 60.0))
+    return min(0.5 * lag_s, max(0.05 * lag_s, balanced_s, float(np.median(np.diff(temperature.time)))))
 
 
 # ---- estimate a lag
