@@ -37,10 +37,10 @@ from undrift.correction.plan import (
     NOWHERE,
     Carry,
     Conditions,
+    Constants,
     Plans,
     Reach,
     Span,
-    TriadPlan,
     carry_at_start,
     conditions_of,
     flat,
@@ -62,19 +62,20 @@ Policy = Literal["raise", "hold", "nan"]
 Offset: TypeAlias = Literal["none", "rest", "motion"] | RemainingOffset
 
 
-def _evaluate_triad(plan: TriadPlan, u: FloatArray, conditions: Conditions, a: FloatArray, w: FloatArray) -> Span:
+def _evaluate_triad(plan: Constants, u: FloatArray, conditions: Conditions, a: FloatArray, w: FloatArray) -> Span:
     """Evaluate the model for a triad and write readings u to w. The force a is empty without step 4."""
     from undrift.kernels.correct import affine, subtract_g, tabulated, without_line
 
-    g = np.zeros(9) if plan.g_sensitivity is None else plan.g_sensitivity
-    offset, h = plan.constants.offset, plan.half_step
+    matrix, offset = plan.matrix.ravel(), plan.offset
+    g = np.zeros(9) if plan.g_sensitivity is None else plan.g_sensitivity.ravel()
+    h = np.zeros(3) if plan.half_step is None else plan.half_step
     if plan.warm_up is not None and conditions.since.size:  # step 1, and o of step 2
         without_line(u, conditions.since, w, h, *plan.warm_up)
         u, h = w, np.zeros(3)
-    if plan.tables is not None:  # steps 1 to 5: w = M(T) (u + h sign(u) - offset(T)) - G a, then w - e(w, T)
-        least, greatest = tabulated(u, conditions.temp_c, a, w, plan.matrix, offset, h, g, plan.tables)
+    if plan.cells is not None:  # steps 1 to 5: w = M(T) (u + h sign(u) - offset(T)) - G a, then w - e(w, T)
+        least, greatest = tabulated(u, conditions.temp_c, a, w, matrix, offset, h, g, plan.cells)
         return float(least), float(greatest)
-    affine(u, w, plan.matrix, offset, h)  # steps 1 to 3: w = M (u + h sign(u) - offset)
+    affine(u, w, matrix, offset, h)  # steps 1 to 3: w = M (u + h sign(u) - offset)
     if a.size:
         subtract_g(a, w, g)  # step 4: w - G a
     return NOWHERE
@@ -89,10 +90,9 @@ def _evaluate(record: Record, plans: Plans, conditions: Conditions, outputs: Buf
     w, a = flat(outputs[0], rows), flat(outputs[1], rows)
     row_conditions = Conditions(*(values[rows] for values in conditions))
     g = None if gyro is None else gyro.g_sensitivity
-    plain = all(plan is not None and plan.tables is None for plan in plans) and not row_conditions.since.size
-    if gyro is not None and accel is not None and g is not None and plain:
-        accel_constants = (accel.matrix, accel.constants.offset, accel.half_step)
-        affine_pair(u, v, w, a, gyro.matrix, gyro.constants.offset, gyro.half_step, *accel_constants, g)
+    plain = all(plan is not None and not plan.tables and plan.half_step is None for plan in plans)
+    if gyro is not None and accel is not None and g is not None and plain and not row_conditions.since.size:
+        affine_pair(u, v, w, a, gyro.matrix.ravel(), gyro.offset, accel.matrix.ravel(), accel.offset, g.ravel())
         return NOWHERE  # both triads in one pass over the memory
     if accel is not None:  # first, since step 4 needs a
         _evaluate_triad(accel, v, row_conditions, NOTHING, a)
@@ -292,7 +292,7 @@ def correct_planned(
     outside = coverage.find_outside(record, temp_c, plans, drift, allowed=allowed, before=before)
     outputs = _buffers(len(record), plans, out)
     spans = in_pieces(partial(_evaluate, record, plans, conditions, outputs), len(record), threads)
-    rest_offset = None if plans[0] is None else plans[0].constants.at_rest
+    rest_offset = None if plans[0] is None else plans[0].at_rest
     if rest_offset is not None:  # step 6: the constants apply in motion
         outputs[0][:] += rest_offset
         turning, state = find_turning(outputs[0], time, carry.turning)
@@ -301,7 +301,7 @@ def correct_planned(
     extrapolated = coverage.find_extrapolated(temp_c, plans, outputs)
     if policy == "nan" and outside is not None:
         for plan, values in zip(plans, outputs, strict=True):
-            if plan is not None and plan.tables is not None:
+            if plan is not None and plan.tables:
                 values[outside] = np.nan
     masks = {"outside": outside, "extrapolated": extrapolated, "without_temperature": missing}
     amounts: dict[str, Any] = {f"samples_{name}": int(mask.sum()) for name, mask in masks.items() if mask is not None}

@@ -43,7 +43,7 @@ def find_outside(
 
     Unless ``allowed``, such a sample is an error, and so is a temperature far beyond the data of the table.
     """
-    ranges = [plan.temp_range for plan in plans if plan is not None and plan.tables is not None]
+    ranges = [plan.temp_range for plan in plans if plan is not None and plan.tables]
     if not ranges:
         return None
     low, high = max(r[0] for r in ranges), min(r[1] for r in ranges)
@@ -82,7 +82,7 @@ def find_extrapolated(temp_c: FloatArray, plans: Plans, corrected: tuple[FloatAr
     """Find the samples whose correction uses nodes without nearby data, or return None. ``corrected`` (N, 3) is in SI units."""
     mask: BoolArray | None = None
     for plan, rates in zip(plans, corrected, strict=True):
-        for table in () if plan is None else plan.constants.tables:
+        for table in () if plan is None else plan.tables:
             if plan is not None and (weight := _weight_of_marks(table, temp_c, rates)) is not None:
                 used = (weight > ON_NODE) & (temp_c >= plan.temp_range[0]) & (temp_c <= plan.temp_range[1])
                 mask = used if mask is None else mask | used
@@ -113,7 +113,7 @@ def temperature_reach(temp_c: FloatArray, calibration: Calibration, plans: Plans
     """Return minimum and maximum temperature, degC, and the largest distance to the temperature of constant offsets."""
     reference = calibration.reference_temp_c
     constant = np.isfinite(reference) and any(
-        plan is not None and triad.model is not None and plan.constants.offset_table is None
+        plan is not None and triad.model is not None and plan.offset_table is None
         for plan, triad in zip(plans, calibration.triads, strict=True)
     )
     if not len(temp_c) or not (has_tables(plans) or constant):

@@ -7,7 +7,7 @@ For readings in unit r, with c model units per r and s SI units per unit of the 
 d is the change of the offset while the device turns, if a fit has one, and K = M^-1. The constants apply in motion, and d' = s d is
 added at rest.
 
-``constants_of`` computes them, with the tables at the nodes of the fit. ``plan_record`` prepares them for the kernels. A table over
+``constants_of`` computes them, with the tables at the nodes of the fit. ``cells`` prepares the tables for the kernels. A table over
 nodes t_0 < ... < t_n is linear between them and constant beyond its ends. In cell i, with f = (t - t_i) / (t_(i+1) - t_i)::
 
     one dimension    y = y_i + f (y_(i+1) - y_i)
@@ -21,6 +21,7 @@ causal filter with state subtracts the lag of the thermometer (drift/temperature
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias, TypeVar
 
@@ -119,7 +120,7 @@ class LookupTable:
         return replace(self, temp=temp, turn_rate=rate, values=temp.filled(self.temp.nodes, values))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Constants:
     """Constants that correct the readings of a triad."""
 
@@ -140,6 +141,31 @@ class Constants:
     def tables(self) -> list[LookupTable]:
         """Tables over temperature, which are looked up for each sample."""
         return [t for t in (self.offset_table, self.matrix_table, self.error_table) if t is not None]
+
+    @property
+    def temp_range(self) -> Span:
+        """Temperatures that all tables cover, degC."""
+        used = self.tables
+        return (max(t.temp.start for t in used), min(t.temp.stop for t in used)) if used else EVERYWHERE
+
+    @cached_property
+    def cells(self) -> "Tables | None":
+        """Cells of the tables over temperature, with an empty array for a missing table, or None without a table."""
+        from undrift.kernels.correct import Grid, Tables
+
+        if not self.tables:
+            return None
+        unused = Grid(np.zeros(2), 0.0, 0.0, 1)
+        lines = (self.offset_table, self.matrix_table)
+        offset, matrix = ((unused, NOTHING) if table is None else line_cells(table) for table in lines)
+        plane = self.error_table
+        error = (unused, unused, NOTHING) if plane is None else plane_cells(plane)
+        return Tables(offset[1], offset[0], matrix[1], matrix[0], error[2], error[0], error[1])
+
+    @cached_property
+    def warm_up(self) -> "tuple[Grid, FloatArray] | None":
+        """Cells of the warm-up over the time since power-on."""
+        return None if self.warm_up_table is None else line_cells(self.warm_up_table)
 
 
 def constants_of(calibration: Calibration, sensor: Sensor, unit: str = "") -> Constants:
@@ -248,20 +274,7 @@ def error_covariance(model: TriadModel) -> FloatArray:
 # ---- the constants as the kernels take them
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TriadPlan:
-    """One triad's constants, flat, and the cells of its tables."""
-
-    constants: Constants
-    matrix: FloatArray  # (9,), row by row
-    half_step: FloatArray  # (3,), zero unless codes are corrected
-    g_sensitivity: FloatArray | None  # (9,)
-    tables: "Tables | None" = None  # cell coefficients, or None if the triad has no table
-    temp_range: Span = EVERYWHERE  # temperatures that all its tables cover, degC
-    warm_up: "tuple[Grid, FloatArray] | None" = None
-
-
-Plans: TypeAlias = tuple[TriadPlan | None, TriadPlan | None]  # gyroscopes, accelerometers (None if not recorded)
+Plans: TypeAlias = tuple[Constants | None, Constants | None]  # gyroscopes, accelerometers (None if not recorded)
 
 
 def plan_record(record: Record, calibration: Calibration) -> Plans:
@@ -270,8 +283,8 @@ def plan_record(record: Record, calibration: Calibration) -> Plans:
         raise InputError(
             "correct: expected raw readings, got a corrected record. Give the recording that the device wrote."
         )
-    gyro = None if record.gyro is None else _build_plan(constants_of(calibration, "gyro", record.gyro_unit))
-    accel = None if record.accel is None else _build_plan(constants_of(calibration, "accel", record.accel_unit))
+    gyro = None if record.gyro is None else constants_of(calibration, "gyro", record.gyro_unit)
+    accel = None if record.accel is None else constants_of(calibration, "accel", record.accel_unit)
     if gyro is not None and gyro.g_sensitivity is not None and accel is None:
         raise InputError(
             "correct: the g-sensitivity of the gyroscopes needs accelerometer readings. Map the accelerometer columns."
@@ -283,32 +296,7 @@ def plan_record(record: Record, calibration: Calibration) -> Plans:
 
 def has_tables(plans: Plans) -> bool:
     """Return True if any table over temperature is looked up."""
-    return any(plan is not None and plan.tables is not None for plan in plans)
-
-
-def _build_plan(constants: Constants) -> TriadPlan:
-    g, used = constants.g_sensitivity, constants.tables
-    return TriadPlan(
-        constants=constants,
-        matrix=np.ravel(constants.matrix),
-        half_step=np.zeros(3) if constants.half_step is None else constants.half_step,
-        g_sensitivity=None if g is None else np.ravel(g),
-        tables=_build_cells(constants) if used else None,
-        temp_range=(max(t.temp.start for t in used), min(t.temp.stop for t in used)) if used else EVERYWHERE,
-        warm_up=None if constants.warm_up_table is None else line_cells(constants.warm_up_table),
-    )
-
-
-def _build_cells(constants: Constants) -> "Tables":
-    """Return the cells of all tables over temperature, with an empty array for a missing table."""
-    from undrift.kernels.correct import Grid, Tables
-
-    unused = Grid(np.zeros(2), 0.0, 0.0, 1)
-    lines = (constants.offset_table, constants.matrix_table)
-    offset, matrix = ((unused, NOTHING) if table is None else line_cells(table) for table in lines)
-    plane = constants.error_table
-    error = (unused, unused, NOTHING) if plane is None else plane_cells(plane)
-    return Tables(offset[1], offset[0], matrix[1], matrix[0], error[2], error[0], error[1])
+    return any(plan is not None and plan.tables for plan in plans)
 
 
 def line_cells(table: LookupTable) -> "tuple[Grid, FloatArray]":

@@ -18,7 +18,6 @@ IndexArray: TypeAlias = NDArray[np.uint32]
 ZERO, ONE, TWO, THREE = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3)
 FOUR, FIVE, SIX, EIGHT = np.uint64(4), np.uint64(5), np.uint64(6), np.uint64(8)
 TWELVE, EIGHTEEN = np.uint64(12), np.uint64(18)
-BLOCK = 192  # values, 64 samples: longer blocks measured slower
 LOOKED_UP = 256  # samples whose cells are found together: shorter and longer measured slower
 
 
@@ -85,16 +84,9 @@ def subtract_g(a: FloatArray, out: FloatArray, g: FloatArray) -> None:
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
 def affine_pair(
     x: FloatArray, y: FloatArray, out: FloatArray, out_a: FloatArray,
-    m: FloatArray, o: FloatArray, h: FloatArray, n: FloatArray, p: FloatArray, q: FloatArray, g: FloatArray,
+    m: FloatArray, o: FloatArray, n: FloatArray, p: FloatArray, g: FloatArray,
 ) -> None:  # fmt: skip
-    # a = N (y + q sign(y) - p), w = M (x + h sign(x) - o) - G a
-    if h[0] != 0.0 or h[1] != 0.0 or h[2] != 0.0 or q[0] != 0.0 or q[1] != 0.0 or q[2] != 0.0:
-        for start in range(0, x.size, BLOCK):  # a block at a time: the second look at it costs no memory
-            stop = min(start + BLOCK, x.size)
-            affine(y[start:stop], out_a[start:stop], n, p, q)
-            affine(x[start:stop], out[start:stop], m, o, h)
-            subtract_g(out_a[start:stop], out[start:stop], g)
-        return
+    # a = N (y - p), w = M (x - o) - G a
     m0, m1, m2, m3, m4, m5, m6, m7, m8 = m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
     n0, n1, n2, n3, n4, n5, n6, n7, n8 = n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7], n[8]
     g0, g1, g2, g3, g4, g5, g6, g7, g8 = g[0], g[1], g[2], g[3], g[4], g[5], g[6], g[7], g[8]
