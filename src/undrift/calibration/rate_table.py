@@ -92,7 +92,7 @@ def fit_rate_table(
     if mode == "paper":
         fit = fit_paper(rates, dwells.reading, gls, **names)
     else:
-        parameters = parameters_of(gls) if dwells.felt else parameters_of(gls).without_g()
+        parameters = parameters_of(gls, with_g=dwells.felt)
         fit = fit_of(parameters, rates, -gls.residuals.reshape(-1, 3), **names)
         fit = replace(fit, verdict=Verdict.of(*_findings(fit.model, gls, dwells)))
     check_own_scale(fit.model.scale_factor, dwells.unit, "rate", scale_tolerance, "gyroscope")

@@ -302,13 +302,12 @@ def _excess_variances(rows: _Rows, first: FloatArray | None) -> tuple[FloatArray
 
 def _climb(rows: _Rows, variances: FloatArray, state: _State, free: IntArray, steps: int) -> tuple[FloatArray, _State]:
     """Improve the variances of the free shapes with at most ``steps`` steps of Fisher scoring. Return them and their solution."""
-    places = [np.flatnonzero(rows.shapes[k].any(axis=1)) for k in free]  # a shape is zero outside its own rows
-    shapes = [(place, rows.shapes[k][np.ix_(place, place)]) for k, place in zip(free, places, strict=True)]
+    shapes = [rows.shapes[k] for k in free]
     for _ in range(steps if shapes else 0):
-        products = [(place, state.projector[:, place] @ shape) for place, shape in shapes]
-        square = np.array([state.weighted[place] @ shape @ state.weighted[place] for place, shape in shapes])
-        score = square - [np.trace(product[place]) for place, product in products]
-        information = np.array([[(a[q] * b[p].T).sum() for q, b in products] for p, a in products])
+        products = [state.projector @ shape for shape in shapes]
+        square = np.array([state.weighted @ shape @ state.weighted for shape in shapes])
+        score = square - [np.trace(product) for product in products]
+        information = np.array([[(first * second.T).sum() for second in products] for first in products])
         step = np.zeros(len(variances))
         step[free] = _bounded_step(variances[free], score, information)
         if score @ step[free] <= 2.0 * TOLERANCE**2:
@@ -370,11 +369,6 @@ def excess_variance(residuals: FloatArray, variances: FloatArray, freedom: float
 HUBER = 1.345  # k: for normal residuals as good as 95 % of the rows by least squares
 
 
-def huber_weight(size: FloatArray, scale: float) -> FloatArray:
-    """Return the weight of residuals of a size (n,) whose robust standard deviation is ``scale``."""
-    return np.minimum(1.0, HUBER * scale / np.maximum(size, 1e-15))
-
-
 def fit_huber(
     design: FloatArray,
     reading: FloatArray,
@@ -396,7 +390,8 @@ def fit_huber(
         x = np.linalg.solve((scaled.T * weight) @ scaled, scaled.T @ (weight * reading))
         size = np.sqrt(((reading - scaled @ x) ** 2).reshape(-1, together).mean(axis=1))
         scale = mad_factor * float(np.median(size[: len(size) - prior]))
-        weight = np.repeat(huber_weight(size, scale), together) if scale > 0.0 else weight
+        if scale > 0.0:
+            weight = np.repeat(np.minimum(1.0, HUBER * scale / np.maximum(size, 1e-15)), together)
         weight[len(weight) - prior :] = 1.0
         if np.abs(x - previous).max() <= 1e-9 * max(float(np.abs(x).max()), 1e-12):
             break

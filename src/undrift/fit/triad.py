@@ -53,22 +53,15 @@ class TriadParameters(NamedTuple):
         """G (3, 3), or None."""
         return self.theta[12:].reshape(3, 3) if len(self.theta) > 12 else None
 
-    def without_g(self) -> "TriadParameters":
-        """Return M and o only."""
-        return TriadParameters(
-            self.theta[:12],
-            self.covariance[:12, :12],
-            {name: share[:12, :12] for name, share in self.parts.items()},
-        )
 
-
-def parameters_of(fit: GlsFit) -> TriadParameters:
-    """Return M, o and G of a fit of M, c and G."""
+def parameters_of(fit: GlsFit, *, with_g: bool = True) -> TriadParameters:
+    """Return M, o and G of a fit of M, c and G, or M and o only."""
     offset, jacobian = offset_of(fit.theta[:9].reshape(3, 3), fit.theta[9:12], len(fit.theta))
+    jacobian = jacobian if with_g else jacobian[:12]
     return TriadParameters(
-        np.concatenate((fit.theta[:9], offset, fit.theta[12:])),
-        jacobian @ fit.covariance @ jacobian.T,
-        {name: jacobian @ share @ jacobian.T for name, share in fit.budget.items()},
+        np.concatenate((fit.theta[:9], offset, fit.theta[12:]))[: len(jacobian)],
+        carried(jacobian, fit.covariance),
+        {name: carried(jacobian, share) for name, share in fit.budget.items()},
     )
 
 
