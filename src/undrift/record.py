@@ -9,7 +9,7 @@ Ranges are sample numbers, half-open [start, stop). A face is named after the se
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -48,12 +48,6 @@ class ForceUncertainty:
         freeze(self)
         if np.isnan([*self.covariance.ravel(), *self.per_k, *self.step]).any() or not isinstance(self.calibrated, str):
             raise InputError("ForceUncertainty: expected finite numbers and a date. Correct the recording again.")
-
-
-class ArrowTable(Protocol):
-    """A table with the Arrow C stream interface, such as a polars DataFrame or a pyarrow Table."""
-
-    def __arrow_c_stream__(self, requested_schema: object | None = None) -> object: ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -161,7 +155,7 @@ class Record(Shown):
     @classmethod
     def from_frame(
         cls,
-        frame: "pd.DataFrame | ArrowTable",
+        frame: Any,
         *,
         columns: Mapping[str, str | Sequence[str]] | None = None,
         units: Mapping[str, str] | None = None,
@@ -169,13 +163,12 @@ class Record(Shown):
         gaps: Literal["raise", "keep"] = "raise",
         device: str = "",
     ) -> "Record":
-        """Create a record from a pandas or polars DataFrame, or from an Arrow table.
+        """Create a record from a pandas or polars DataFrame, or from a table with the Arrow C stream interface.
 
         undrift's own column names (gyro_x_dps, accel_z_g, temp_c, time_s) need no other argument. ``columns`` maps channels to
-        columns, as in {"time": "t", "gyro": ["gx", "gy", "gz"]}. Without it, columns named time, gyro_x, accel_x, temp, mag_x
-        and so on are used. ``units`` maps channels to units. Time may be the index, in s or as dates. With ``gaps="raise"``, NaN
-        is refused. With "keep", it becomes a gap. InputError is raised if a column, unit or clock is missing, or for gaps.
-        FileFormatError is raised if cells are not numbers.
+        columns, as in {"time": "t", "gyro": ["gx", "gy", "gz"]}, ``units`` maps channels to units. Time may be the index, in s or
+        as dates. With ``gaps="raise"``, NaN is refused. With "keep", it becomes a gap. InputError is raised if a column, unit or
+        clock is missing, or for gaps, and FileFormatError if cells are not numbers.
 
         Examples
         --------
@@ -449,6 +442,13 @@ class FileMap:
     text: str  # one JSON object
 
 
+def _check_settings(settings: "TemperatureSensitivity | RateTable", most: float, **limits: float) -> None:
+    for item in fields(settings):
+        value, limit = getattr(settings, item.name), limits.get(item.name, most)
+        if not 0.0 <= value <= limit:
+            raise InputError(f"session: expected {item.name} from 0 to {limit:g}, got {value:g}. Correct it.")
+
+
 @stored()
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TemperatureSensitivity:
@@ -470,10 +470,7 @@ class TemperatureSensitivity:
     span_limit_k: float = 2.0  # temperature change within a session above which a finding is reported, K
 
     def __post_init__(self) -> None:
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if not 0.0 <= value <= 100.0:
-                raise InputError(f"temperature: expected {item.name} from 0 to 100, got {value:g}. Correct it.")
+        _check_settings(self, 100.0)
 
 
 @stored()
@@ -487,10 +484,7 @@ class RateTable:
     wobble_deg: float = 0.01  # tilt of the table axis from dwell to dwell, about each perpendicular axis, deg
 
     def __post_init__(self) -> None:
-        for item in fields(self):
-            value, most = getattr(self, item.name), 0.1 if item.name == "rate_uncertainty" else 10.0
-            if not 0.0 <= value <= most:
-                raise InputError(f"rate table: expected {item.name} from 0 to {most:g}, got {value:g}. Correct it.")
+        _check_settings(self, 10.0, rate_uncertainty=0.1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -566,7 +560,10 @@ class Session:
                 f"session: a table of means belongs to each recording of kind set-points and to no other, got kind "
                 f"{self.kind} with {len(self.means)} for {len(self.records)}. Give the means with the records."
             )
-        check_serial(self.serial, "session")
+        if len(self.serial) > 200 or not self.serial.isprintable():
+            raise InputError(
+                f"session: expected a serial number of up to 200 printable characters, got {len(self.serial)}. Correct it."
+            )
         check_local_gravity(self.gravity_m_s2, "session")
         pieces: tuple[Still | Turn, ...] = (*self.stills, *self.turns)
         for piece in pieces:
@@ -580,14 +577,6 @@ class Session:
     def begins_s(self) -> FloatArray:
         """Start time of each recording on the clock of the session, (R,), s. Recordings follow each other without a pause."""
         return np.cumsum([0.0, *(record.duration_s for record in self.records[:-1])])
-
-
-def check_serial(serial: str, what: str, least: int = 0) -> None:
-    """Raise InputError for a serial number that is too long, too short or not printable."""
-    if not least <= len(serial) <= 200 or not serial.isprintable():
-        raise InputError(
-            f"{what}: expected a serial number of {least} to 200 printable characters, got {len(serial)}. Correct it."
-        )
 
 
 def check_local_gravity(gravity_m_s2: float, what: str) -> None:
@@ -613,6 +602,4 @@ def joined(records: Sequence[Record]) -> Record:
 
 def _check_range(start: int, stop: int, what: str) -> None:
     if not 0 <= start < stop:
-        raise InputError(
-            f"{what}: expected samples 0 <= start < stop, got [{start}, {stop}). Check its start and stop."
-        )
+        raise InputError(f"{what}: expected samples 0 <= start < stop, got [{start}, {stop}). Check start and stop.")

@@ -279,7 +279,7 @@ def test_readings_and_a_session_that_changed_since_they_were_written_are_refused
 @pytest.mark.parametrize("serial", ["A\n1", "\x1f", "x" * 201])
 def test_a_serial_number_that_cannot_be_printed_is_refused(serial):
     record = Record(time=[0.0, 1.0], gyro=np.zeros((2, 3)))
-    with pytest.raises(InputError, match="0 to 200 printable characters, got"):
+    with pytest.raises(InputError, match="up to 200 printable characters, got"):
         Session(kind="static", serial=serial, gravity_m_s2=9.81, records=(record,))
 
 
