@@ -226,28 +226,18 @@ WARN_DRIFT = 1.0 * RADIAN_PER_DEGREE  # strapdown drift that optics can measure 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OrientSettings:
-    """Settings of the orientation of a record.
+    """Settings of the orientation of a record."""
 
-    Parameters
-    ----------
-    offset : str
-        "none". "rest" subtracts the mean rate of the still phase, including any true slow turn. "motion" also subtracts the
-        offset that gravity determines in motion, starting from that rest.
-    method : str
-        "strapdown", or "vqf", a filter with accelerometers over the whole record.
-    magnetometer : bool
-        If True, the filter also uses the magnetic field. The axes of n are then magnetic east, magnetic north and up.
-    forward, up : str
-        Device axes that point forward and up on the upright segment. They define the pitch.
-    mounting : BodyMounting or None
-        Mounting of the device on the body. Orientation, angles and the axes above then refer to the segment.
-    """
-
+    # "rest" subtracts the mean rate of the still phase, including any true slow turn. "motion" also subtracts the offset that
+    # gravity determines in motion, starting from that rest
     offset: Literal["none", "rest", "motion"] = "none"
-    method: Literal["strapdown", "vqf"] = "strapdown"
+    method: Literal["strapdown", "vqf"] = "strapdown"  # vqf is a filter with accelerometers over the whole record
+    # the filter also uses the magnetic field, and the axes of n are magnetic east, magnetic north and up
     magnetometer: bool = False
+    # device axes that point forward and up on the upright segment: they define the pitch
     forward: Face = "+x"
     up: Face = "+z"
+    # mounting of the device on the body: orientation, angles and the axes above then refer to the segment
     mounting: BodyMounting | None = None
 
     def __post_init__(self) -> None:

@@ -32,6 +32,7 @@ TRACKED_TEXT = [
 # Types that exported functions take or return: documented like the functions themselves.
 RESULTS = {
     "AdcModel",
+    "Corrected",
     "DeviceModel",
     "DriftTables",
     "ExportOptions",

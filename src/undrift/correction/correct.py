@@ -54,7 +54,7 @@ from undrift.correction.rest import RemainingOffset, find_offset
 from undrift.errors import InputError, check_choice
 from undrift.findings import Finding
 from undrift.model import NO_TABLES, Calibration
-from undrift.record import Record, Still
+from undrift.record import Record
 from undrift.segments import find_turning
 
 Buffers: TypeAlias = tuple[FloatArray, FloatArray]  # rate, rad/s, and specific force, m/s2, (N, 3)
@@ -105,36 +105,18 @@ class DriftRangeWarning(UserWarning):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Corrected:
-    """A corrected record, with masks of the samples that the calibration did not cover.
+    """A corrected record, with masks (N,) of the samples that the calibration did not cover."""
 
-    Parameters
-    ----------
-    record : Record
-        rad/s and m/s2 in frame b, state corrected.
-    outside, extrapolated, missing : array, shape (N,)
-        ``outside`` marks temperatures beyond a tuning table, ``extrapolated`` marks nodes without nearby data. ``missing`` marks
-        samples without a temperature that a table needs: their result is NaN under every policy.
-    findings : tuple of Finding
-        Codes ``correct.*``: readings beyond the calibration (level warn), and errors that it does not correct (level info).
-    reach, carry : Reach, Carry
-        Samples and seconds of each mask with the span of temperature and rate, and the state for the next chunk of a stream.
-    rest : RemainingOffset or None
-        The offset that was subtracted, with its uncertainty.
-    """
-
-    record: Record
-    outside: BoolArray
-    extrapolated: BoolArray
-    missing: BoolArray
-    findings: tuple[Finding, ...]
-    reach: Reach
-    carry: Carry
-    rest: RemainingOffset | None = None
-
-    @property
-    def stills(self) -> tuple[Still, ...] | None:
-        """Still phases that the search for the offset found, or None without a search."""
-        return None if self.rest is None else self.rest.stills
+    record: Record  # rad/s and m/s2 in frame b, state corrected
+    outside: BoolArray  # temperatures beyond a tuning table
+    extrapolated: BoolArray  # temperatures and rates at nodes of a table without nearby data
+    missing: BoolArray  # no temperature for a table, with NaN as the result under every policy
+    findings: tuple[
+        Finding, ...
+    ]  # readings beyond the calibration (level warn), errors that it does not correct (info)
+    reach: Reach  # samples and seconds of each mask, with the span of temperature and rate
+    carry: Carry  # state for the next chunk of a stream
+    rest: RemainingOffset | None = None  # offset that was subtracted, with its uncertainty
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -201,9 +183,8 @@ def correct(
     >>> corrected.gyro_unit, corrected.accel_unit, corrected.frame
     ('rad/s', 'm/s2', 'b')
     """
-    corrected = correct_whole(record, calibration, power_on_s, offset, policy=policy, out=out)
-    suspicions = check_corrected(corrected.record, calibration, record, corrected.stills) if check else ()
-    for text in (*(item.text for item in suspicions), *corrected.warnings):
+    corrected = correct_whole(record, calibration, power_on_s, offset, check=check, policy=policy, out=out)
+    for text in corrected.warnings:
         warnings.warn(text, DriftRangeWarning, stacklevel=2)
     return corrected.record
 
@@ -239,10 +220,7 @@ def correct_checked(
     >>> len(corrected.findings), int(corrected.outside.sum())
     (0, 0)
     """
-    options = {"policy": policy, "threads": threads}
-    corrected = correct_whole(record, calibration, power_on_s, offset, **options)
-    suspicions = check_corrected(corrected.record, calibration, record, corrected.stills)
-    return replace(corrected, findings=(*suspicions, *corrected.findings))
+    return correct_whole(record, calibration, power_on_s, offset, check=True, policy=policy, threads=threads)
 
 
 def correct_whole(
@@ -250,21 +228,28 @@ def correct_whole(
     calibration: Calibration,
     power_on_s: float | None = None,
     offset: Offset = "none",
+    *,
+    check: bool = False,
     **options: Any,
 ) -> Corrected:
-    """Correct a record from its start, without plausibility checks. ``options`` are passed to ``correct_planned``."""
+    """Correct a record from its start, with or without plausibility checks. ``options`` are passed to ``correct_planned``."""
     carry = carry_at_start(float(record.time[0]), power_on_s)
     corrected = correct_planned(record, calibration, plan_record(record, calibration), carry=carry, **options)
     if isinstance(offset, str):
         check_choice(offset, ("none", "rest", "motion"), "correct", "offset")
-        if offset == "none":
-            return corrected
-        offset = find_offset(corrected.record, offset, calibration.gyro)
-    return _subtract_offset(corrected, offset, options.get("out"))
+    if offset != "none":
+        if isinstance(offset, str):
+            offset = find_offset(corrected.record, offset, calibration.gyro)
+        corrected = _subtract_offset(corrected, offset, options.get("out"))
+    if not check:
+        return corrected
+    stills = None if corrected.rest is None else corrected.rest.stills
+    suspicions = check_corrected(corrected.record, calibration, record, stills)
+    return replace(corrected, findings=(*suspicions, *corrected.findings))
 
 
 def _subtract_offset(corrected: Corrected, offset: RemainingOffset, out: Buffers | None = None) -> Corrected:
-    """Subtract an offset from a corrected record: step 7."""
+    # step 7
     if corrected.record.gyro is None:
         return corrected
     rate = np.subtract(corrected.record.gyro, offset.at(corrected.record.time), out=None if out is None else out[0])
@@ -309,12 +294,15 @@ def correct_planned(
     span_c, departure_c = coverage.temperature_reach(temp_c, calibration, plans)
     reach = Reach(samples=len(record), temp_c=span_c, departure_c=departure_c, turn_rate=hull(*spans), **amounts)
     coming = replace(coming, reach=carry.reach.joined(reach))
+    field = record.mag_ut
+    if calibration.magnetometer is not None and field is not None:  # step 8 (without rates its lag is not corrected)
+        field = calibration.magnetometer.corrected(field, outputs[0] if len(outputs[0]) else None)
     unmarked = np.broadcast_to(np.False_, len(record))  # fresh memory costs as much as a tenth of the kernel
     return Corrected(
         record=record.computed(
             gyro=None if plans[0] is None else outputs[0],
             accel=None if plans[1] is None else outputs[1],
-            mag_ut=_field(record, calibration, outputs[0]),
+            mag_ut=field,
             gyro_unit="rad/s",
             accel_unit="m/s2",
             frame="b",
@@ -346,14 +334,6 @@ def _buffers(n: int, plans: Plans, out: Buffers | None) -> Buffers:
                 "Create them with numpy.empty."
             )
     return out
-
-
-def _field(record: Record, calibration: Calibration, rate: FloatArray) -> FloatArray | None:
-    """Return the magnetic field in the axes of the gyroscopes, uT (step 8). Without their rate its lag is not corrected."""
-    magnetometer = calibration.magnetometer
-    if magnetometer is None or record.mag_ut is None:
-        return record.mag_ut
-    return magnetometer.corrected(record.mag_ut, rate if len(rate) else None)
 
 
 # ---- A stream

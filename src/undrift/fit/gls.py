@@ -115,7 +115,7 @@ def solve(
     length[length == 0.0] = 1.0
     parts = {name: _matrix(share) for name, share in sources.items()}
     shapes = {kind: _matrix(shape) for kind, shape in (excess or {}).items()}
-    rows = _Rows(
+    rows = _GlsRows(
         design=design / length,
         value=value,
         prior=np.zeros((0, len(length))) if prior is None else _root(prior.precision / np.outer(length, length)),
@@ -232,7 +232,7 @@ class _State:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Rows:
+class _GlsRows:
     design: FloatArray  # (E, P), columns of length one
     value: FloatArray  # (E,)
     prior: FloatArray  # (., P), R with R' R = K
@@ -285,7 +285,7 @@ class _Rows:
 # likelihood may have several maxima, so the descent begins with the kind that is likeliest without the others.
 
 
-def _excess_variances(rows: _Rows, first: FloatArray | None) -> tuple[FloatArray, _State]:
+def _excess_variances(rows: _GlsRows, first: FloatArray | None) -> tuple[FloatArray, _State]:
     """Return the variance s_j >= 0 of each shape, and the solution for them. Begin with ``first`` (J,), if it is given."""
     zero: FloatArray = np.zeros(len(rows.shapes))
     start = zero, rows.solve(zero)
@@ -300,7 +300,9 @@ def _excess_variances(rows: _Rows, first: FloatArray | None) -> tuple[FloatArray
     return _climb(rows, *start, observable, MAX_ITERATIONS)
 
 
-def _climb(rows: _Rows, variances: FloatArray, state: _State, free: IntArray, steps: int) -> tuple[FloatArray, _State]:
+def _climb(
+    rows: _GlsRows, variances: FloatArray, state: _State, free: IntArray, steps: int
+) -> tuple[FloatArray, _State]:
     """Improve the variances of the free shapes with at most ``steps`` steps of Fisher scoring. Return them and their solution."""
     shapes = [rows.shapes[k] for k in free]
     for _ in range(steps if shapes else 0):
