@@ -22,6 +22,8 @@ from itertools import pairwise
 import numpy as np
 
 from undrift.arrays import FloatArray, bridged
+from undrift.calibration.norm import TOLERANCE
+from undrift.calibration.plausibility import check_own_scale
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.carried import MEAN_S, CarriedMeans
@@ -43,7 +45,6 @@ WIDENED_GYRO, WIDENED_ACCEL = 1.5, 1.8
 SCALES = np.array([0, 4, 8])  # places of the scale factors among the elements of a matrix
 ONE_AXIS = 0.1  # smallest share of the rates about the main axis that counts as a turn about others. Assumed.
 NOT_GRAVITY = 1.0  # m/s2, largest acceleration in means over 5 s (walking 0.03, hands 0.1). Assumed.
-IMPLAUSIBLE = 0.25  # largest relative error of a scale factor (raw parts are within 0.2)
 FIELD_SIZE = 0.01  # relative, by which the size of a corrected magnetic field may differ between means. Assumed.
 SHOWN = 0.7  # share of the prior deviation below which an element counts as determined
 
@@ -301,15 +302,6 @@ def _result(
 ) -> InMotion:
     """Return the model in the units of the readings. Raise if it cannot describe a device in motion."""
     gyro, accel = x[:18].reshape(2, 3, 3)
-    gravity = np.median([np.median(np.linalg.norm(part.force, axis=1)) for part in parts]) / STANDARD_GRAVITY
-    gyro_scale = np.linalg.norm(np.linalg.inv(gyro), axis=1)
-    for triad, scale in (("gyroscope", gyro_scale), ("accelerometer", gravity)):
-        if (percent := 100.0 * float(np.abs(scale - 1.0).max())) > 100.0 * IMPLAUSIBLE:
-            raise Implausible(
-                f"motion: a scale of the {triad} is {percent:.3g} % off its declared unit, but {100.0 * IMPLAUSIBLE:g} % is the "
-                "limit for uncalibrated sensors. Check unit, gain and sample rate, and that both triads share one clock.",
-                percent=percent,
-            )
     numbers_of = [[k for k, part in enumerate(parts) if part.recording == r] for r in range(len(records))]
     variances = [[np.exp(g.sizes[0]) for k in numbers for _, g, _ in parts[k].stretches] for numbers in numbers_of]
     acceleration = np.sqrt([np.mean(recording_variances) for recording_variances in variances])
@@ -325,13 +317,20 @@ def _result(
     forces = np.concatenate([(part.force - x[18:21]) @ accel.T for part in parts])
     gyro_unit, accel_unit = records[0].gyro_unit, records[0].accel_unit
     turned = residuals[:, :2] / (STANDARD_GRAVITY * MEAN_S)
-    return InMotion(
+    fit = InMotion(
         gyro=_triad(turned, x, covariance, np.r_[:9, 21:24], rates, verdict, units=(gyro_unit, "rad/s")),
         accel=_triad(residuals, x, covariance, np.r_[9:21], forces, verdict, units=(accel_unit, "m/s2")),
         offsets=np.array([offsets[numbers].mean(axis=0) for numbers in numbers_of]),
         offset_uncertainty=np.array([spread[numbers].max(axis=0) for numbers in numbers_of]),
         acceleration=acceleration,
     )
+    length = np.median([np.median(np.linalg.norm(record.accel, axis=1)) for record in records]) / STANDARD_GRAVITY
+    rate_hz = records[0].sample_rate_hz
+    check_own_scale(
+        fit.gyro.model.scale_factor, gyro_unit, "rate", TOLERANCE, "motion, gyroscope", sample_rate_hz=rate_hz
+    )
+    check_own_scale(length, accel_unit, "accel", TOLERANCE, "motion, accelerometer")
+    return fit
 
 
 def _triad(

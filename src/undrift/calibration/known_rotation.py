@@ -24,7 +24,7 @@ x + K (m - x_M).
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Literal
 
@@ -46,7 +46,7 @@ from undrift.calibration.plausibility import (
 from undrift.calibration.rate_table import axes_missing, check_reads_positive, first_table_matrix, table_prior
 from undrift.calibration.session import Observed, Outcome, spans_of
 from undrift.calibration.sources import Creep, creep_of, gyro_drift, in_case, slip_covariance, walks_of
-from undrift.calibration.triads import find_disagreement
+from undrift.calibration.triads import check_agreement
 from undrift.errors import Implausible, InputError, NotObservable, PoorFit
 from undrift.findings import Finding, finding
 from undrift.fit.gls import block_size, carried, noise_of_means, solve_inverse
@@ -76,9 +76,12 @@ class RotationRows:
     duration: FloatArray  # (R,), of each turn, s
     axis: tuple[Axis, ...]  # (R,), of each turn
     angle: FloatArray  # (R,), of each turn about +axis, rad
-    slip: FloatArray | None = None  # (R, 3, 3), covariance of the integral by jitter of the clock, (unit s)^2
+    # (R, 3, 3), covariance of the integral by jitter of the clock, (unit s)^2
+    slip: FloatArray = field(default_factory=lambda: np.zeros((1, 3, 3)))
     span: FloatArray | None = None  # (E, 2), start and stop of each piece on one clock, s
-    rounding: FloatArray | None = None  # (3,), rounding error of a mean at rest, ``unit``
+    rounding: FloatArray = field(
+        default_factory=lambda: np.zeros(3)
+    )  # (3,), rounding error of a mean at rest, ``unit``
     unit: str = "rad/s"
     pieces: tuple[Still | Turn, ...] = ()  # (E,)
 
@@ -102,36 +105,38 @@ def rotation_rows(
 ) -> RotationRows:
     """Average the readings of a session over its rests and turns. Matrix and offset describe the accelerometer, if there is one."""
     used = [turn for turn in turns if turn.axis is not None and turn.angle is not None]
-    rests, windows, force, duration, slip = list[Still](), list[FloatArray](), list[FloatArray](), list[float](), []
-    for still in stills:
-        gyro, specific_force = _readings(records[still.recording], still, matrix, offset)
+    pieces, windows, duration, slip = list[Still | Turn](), list[FloatArray](), list[float](), list[FloatArray]()
+    reading, force, spread = list[FloatArray](), list[FloatArray](), list[float]()
+    for piece in (*stills, *used):
+        gyro, specific_force = _readings(records[piece.recording], piece, matrix, offset)
         finite = np.isfinite(gyro).all(axis=1) & np.isfinite(specific_force).all(axis=1)
-        if finite.sum() > 1:
-            rests.append(still)
+        if isinstance(piece, Turn):
+            if not finite.all():
+                raise InputError(f"known rotation: the turn about {piece.axis} has gaps. Record it again.")
+            check_range([gyro], f"gyroscope in the turn about {piece.axis}")
+            time = records[piece.recording].time
+            weight = np.diff(time, prepend=2.0 * time[0] - time[1])[piece.start : piece.stop]
+            duration.append(float(weight.sum()))
+            slip.append(slip_covariance(time[piece.start : piece.stop], gyro))
+        elif finite.sum() > 1:
+            weight = np.ones(int(finite.sum()))
             windows.append(gyro[finite])
-            force.append(specific_force[finite].mean(axis=0))
-        elif still.face is not None:
+        elif piece.face is None:
+            continue
+        else:
             raise InputError(
-                f"known rotation: expected readings at rest on face {still.face}, got {finite.sum()}. Choose another stretch."
+                f"known rotation: expected readings at rest on face {piece.face}, got {finite.sum()}. Choose another stretch."
             )
-    sample_sd = _sample_noise(windows, [records[still.recording].sample_rate_hz for still in rests])
-    reading, noise = [window.mean(axis=0) for window in windows], [sample_sd / len(window) ** 0.5 for window in windows]
-    for turn in used:
-        time = records[turn.recording].time
-        gyro, specific_force = _readings(records[turn.recording], turn, matrix, offset)
-        if np.isnan(gyro).any() or np.isnan(specific_force).any():
-            raise InputError(f"known rotation: the turn about {turn.axis} has gaps. Record it again.")
-        check_range([gyro], f"gyroscope in the turn about {turn.axis}")
-        step = np.diff(time, prepend=2.0 * time[0] - time[1])[turn.start : turn.stop]
-        duration.append(float(step.sum()))
-        reading.append(step @ gyro / duration[-1])
-        force.append(step @ specific_force / duration[-1])
-        noise.append(sample_sd * np.sqrt(step @ step) / duration[-1])
-        slip.append(slip_covariance(time[turn.start : turn.stop], gyro))
+        weight = weight / weight.sum()
+        pieces.append(piece)
+        reading.append(weight @ gyro[finite])
+        force.append(weight @ specific_force[finite])
+        spread.append(float(np.linalg.norm(weight)))  # standard deviation of the mean for readings with deviation one
+    rests = [piece for piece in pieces if isinstance(piece, Still)]
     every = [np.asarray(records[k].gyro) for k in {still.recording for still in rests}]
     return RotationRows(
         reading=np.array(reading).reshape(-1, 3),
-        noise=np.array(noise).reshape(-1, 3),
+        noise=np.outer(spread, _sample_noise(windows, [records[rest.recording].sample_rate_hz for rest in rests])),
         force=None if matrix is None else np.array(force).reshape(-1, 3),
         samples=np.array([len(window) for window in windows], float),
         faces=tuple(still.face for still in rests),
@@ -139,10 +144,10 @@ def rotation_rows(
         axis=tuple(turn.axis for turn in used if turn.axis is not None),
         angle=np.array([turn.angle for turn in used], float),
         slip=np.array(slip).reshape(-1, 3, 3),
-        span=spans_of(records, [*rests, *used]),
-        rounding=mean_rounding(every, windows) if rests else None,
+        span=spans_of(records, pieces),
+        rounding=mean_rounding(every, windows) if rests else np.zeros(3),
         unit=records[0].gyro_unit,
-        pieces=(*rests, *used),
+        pieces=tuple(pieces),
     )
 
 
@@ -175,21 +180,18 @@ def _sources(
     """Return the covariances (3 E, 3 E) of the rows by source, (rad/s)^2, for standard uncertainties of angle and axis in rad."""
     rests, own, axes = len(rows.faces), np.eye(len(rows.reading)), axis_vectors(rows.axis)
     noise = np.maximum(rows.noise, MIN_NOISE * np.abs(rows.reading).max())
-    angle = angle_uncertainty**2 * axes[:, :, None] * axes[:, None]
-    if rows.slip is not None:
-        angle = angle + matrix @ rows.slip @ matrix.T
+    angle = angle_uncertainty**2 * axes[:, :, None] * axes[:, None] + matrix @ rows.slip @ matrix.T
     per_turn = rows.of_turns(angle / rows.duration[:, None, None] ** 2)
+    code_groups = own.copy()  # All rests read the same code with the same error. Each turn has its own error.
+    code_groups[:rests, :rests] = 1.0
     # all turns about the same axis have a common tilt, from a fixture or an edge
     leaning = np.einsum("ej,fj,jk->efk", rows.rate, rows.rate, 1.0 - np.eye(3))
     sources = {
         "noise": in_case(matrix, own[:, :, None] * noise[:, None] ** 2),
         "angle": np.einsum("eij,ef->eifj", per_turn, own).reshape(2 * (rows.reading.size,)),
         "axis": axis_uncertainty**2 * in_case(np.eye(3), leaning),
+        "adc": in_case(matrix, code_groups[:, :, None] * rows.rounding**2),
     }
-    if rows.rounding is not None:
-        code_groups = own.copy()  # All rests read the same code with the same error. Each turn has its own error.
-        code_groups[:rests, :rests] = 1.0
-        sources["adc"] = in_case(matrix, code_groups[:, :, None] * rows.rounding**2)
     if rows.span is not None:
         sources["instability"] = gyro_drift(rows.span)
     if rows.force is None:  # the g-sensitivity keeps its prior
@@ -217,8 +219,8 @@ def fit_known_rotation(
     matrix = first_table_matrix(rows.rate, rows.reading, turn_axes, rows.unit)
     _check_turns(np.linalg.inv(matrix), rows, turn_axes)
     sources, findings = _sources(rows, matrix, angle_uncertainty, axis_uncertainty), list[Finding]()
-    warmth = np.zeros((rows.reading.size, 6)) if creep is None else creep.columns_in_case(rows.rate)
-    sources["temperature"] = warmth @ warmth.T
+    if creep is not None:
+        sources["temperature"] = creep.covariance_in_case(rows.rate)
     if mode == "paper":
         fitted, residuals = _closed_form(rows, sources, gravity)
     else:
@@ -232,8 +234,7 @@ def fit_known_rotation(
             fitted, findings = _combine_with_moves(fitted, moves)
         elif len(turn_axes) < 3:
             findings = [axes_missing([AXES[k] for k in turn_axes], rows.unit, cross_axis_prior)]
-    if rows.rounding is not None:
-        findings += limited_by_codes("gyroscope", rows.rounding**2, np.diag(fitted.covariance)[9:12], rows.unit)
+    findings += limited_by_codes("gyroscope", rows.rounding**2, np.diag(fitted.covariance)[9:12], rows.unit)
     names = {"method": f"known-rotation/{mode}", "unit_in": rows.unit, "unit_out": "rad/s"}
     return fit_of(fitted, rows.rate, residuals, Verdict.of(*findings), remainder="instability", **names)
 
@@ -338,25 +339,17 @@ def _check_turns(forward: FloatArray, rows: RotationRows, turn_axes: list[int]) 
 
 
 def _check_by_gravity(record: Record, gyro: TriadModel, accel: TriadModel) -> tuple[Finding, ...]:
-    """Compare the corrected rotation with gravity, and return a finding or raise an error if they disagree.
-
-    The turns determine the scale for any unit and sample rate of the readings. Only a wrong angle makes the scale wrong.
-    """
+    """Compare the corrected rotation with gravity. Return a finding or raise an error if they disagree."""
     rate = (np.asarray(record.gyro) - gyro.offset) @ gyro.matrix.T
     force = (np.asarray(record.accel) - accel.offset) @ accel.matrix.T
-    conflict = find_disagreement(replace(record, gyro=rate, accel=force, gyro_unit="rad/s", accel_unit="m/s2"))
-    if conflict is None:
-        return ()
-    values = dict(conflict.values)
-    if ratio := values["turned_ratio"]:
-        values["text"] = f"the given angles of the turns are {ratio:.3g} times the angles measured with gravity"
-        values["action"] = "give angles in deg, not rad, and 360 for a full turn"
-    else:
-        values["text"] = f"{values['text']}, or the given axes of the turns are wrong"
-        values["action"] = "correct the order or the sign of the columns, or the axes of the turns"
-    if conflict.level == "fail":
-        raise Implausible(f"known rotation: {values['text']}. Check: {values['action']}.", **values)
-    return (replace(conflict, values=values),)
+    try:
+        return check_agreement(replace(record, gyro=rate, accel=force, gyro_unit="rad/s", accel_unit="m/s2"))
+    except Implausible as error:
+        raise Implausible(
+            f"known rotation: after the calibration, {error} The turns determine scale and axes, so their angles or axes may be "
+            "wrong: give angles in deg, not rad, and 360 for a full turn.",
+            **error.numbers,
+        ) from error
 
 
 def calibrate_turns(observed: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
