@@ -25,7 +25,7 @@ from undrift.drift import temperature as thermometer
 from undrift.drift import verdict as judge
 from undrift.drift.accel import AccelDriftFit, fit_accel_drift
 from undrift.drift.observe import RateSteps, RestBlocks
-from undrift.drift.offset import StaticFit, StaticSettings, fit_static
+from undrift.drift.offset import StaticFit, StaticSettings, felt_by_gyro, fit_static
 from undrift.drift.rates import DynamicFit, ScaleFit, fit_dynamic, fit_scale, prepared
 from undrift.drift.temperature import LagFit
 from undrift.errors import InputError, NotObservable, check_choices
@@ -198,7 +198,8 @@ def fit_drift(
     static_settings = replace(settings.static, accel=accel is None, lag_uncertainty_s=_lag_uncertainty(lag, lag_s))
     static = fit_static(rests, nodes=nodes, calibration=device, settings=static_settings)
     judge.check_sessions(static, device)
-    verdict = verdict.also(judge.offsets_verdict(static, device)).also(judge.gravity_verdict(rests, device))
+    verdict = verdict.also(judge.offsets_verdict(static, device, felt_by_gyro(rests, device).mean(axis=0)))
+    verdict = verdict.also(judge.gravity_verdict(rests, device))
     report("fitting scale and dynamic drift", 0.5)
     scale, dynamic, rates_verdict = _fit_rates(steps, device, static, settings.tables)
     verdict = verdict.also(judge.turns_verdict(scale, device)).also(rates_verdict)

@@ -102,8 +102,8 @@ def turns_verdict(scale: ScaleFit | None, device: Calibration) -> Verdict:
     )
 
 
-def offsets_verdict(static: StaticFit, device: Calibration) -> Verdict:
-    """Compare the offset table with the calibration's constants."""
+def offsets_verdict(static: StaticFit, device: Calibration, gravity_rate: FloatArray | float = 0.0) -> Verdict:
+    """Compare the offset table with the calibration's constants. Gravity adds ``gravity_rate`` (3,) to readings at rest."""
     model, triad, offset = device.gyro, static.gyro, static.table.gyro_offset
     if model is None or model.method == "nominal" or triad is None or offset is None:
         return Verdict()
@@ -126,7 +126,7 @@ def offsets_verdict(static: StaticFit, device: Calibration) -> Verdict:
         "uncertainty_dps": uncertainty,
         "turn_on_dps": TURN_ON_DPS,
     }
-    cause = _guess_unit(offset[node], model.offset)
+    cause = _guess_unit(offset[node] + gravity_rate, model.offset + gravity_rate)
     return Verdict.of(finding("drift.offset_differs", "fail" if is_large else "warn", **values, cause=cause))
 
 
