@@ -17,9 +17,9 @@ from undrift.calibration.norm import fit_norm
 from undrift.drift.observe import RestBlocks
 from undrift.drift.offset import bins_of, near_data
 from undrift.drift.rates import MATRIX_GAP_C
-from undrift.errors import CalibrationError, InputError, NotObservable
+from undrift.errors import CalibrationError, NotObservable
 from undrift.fit.curve import fit_curve
-from undrift.model import Calibration, TriadModel
+from undrift.model import TriadModel
 from undrift.units import si_factor
 
 _SCALES, _OFFSETS = np.array([0, 3, 5]), np.array([6, 7, 8])  # diagonal of P, and d, among the parameters of a norm fit
@@ -41,18 +41,11 @@ class AccelDriftFit:
     extrapolated: BoolArray  # (n,), True if no poses were near
 
 
-def fit_accel_drift(rests: RestBlocks, calibration: Calibration, *, temp_c: FloatArray) -> AccelDriftFit:
-    """Fit the accelerometers' offset and matrix over temperature, at nodes (n,), degC."""
-    model = calibration.accel
-    if model is None:
-        raise InputError("accelerometers over temperature: the calibration has no accelerometers. Calibrate six faces.")
+def fit_accel_drift(rests: RestBlocks, model: TriadModel, *, gravity: float, temp_c: FloatArray) -> AccelDriftFit:
+    """Fit the accelerometers' offset and matrix over temperature, at nodes (n,), degC, for gravity in m/s2."""
     rests = rests.taken(np.isfinite(rests.accel).all(axis=1) & np.isfinite(rests.temp_c))
-    if not len(rests):
-        raise InputError(
-            "accelerometers over temperature: no rest has a reading and a temperature. Check the temperature column and the gaps."
-        )
     rests = rests.taken(np.argsort(rests.temp_c, kind="stable"))
-    temps, values, variances = _fit_temperatures(rests, model, calibration.gravity_m_s2)
+    temps, values, variances = _fit_temperatures(rests, model, gravity)
     curve = fit_curve(temps, values, variances).at(temp_c)
     (scale, offset), (scale_spread, offset_spread) = (
         np.split(table, 2, axis=1) for table in (curve.value, curve.uncertainty)

@@ -296,7 +296,7 @@ def _accelerometers(rests: RestBlocks, device: Calibration, nodes: FloatArray) -
     if device.accel is None or len(np.unique(rests.pose)) < 2 or np.isnan(rests.accel).all():
         return None, Verdict()
     try:
-        return fit_accel_drift(rests, device, temp_c=nodes), Verdict()
+        return fit_accel_drift(rests, device.accel, gravity=device.gravity_m_s2, temp_c=nodes), Verdict()
     except NotObservable as error:
         what = "Accelerometer matrix over temperature"
         return None, Verdict.of(finding("drift.not_observable", "info", what=what, problem=str(error)))

@@ -7,14 +7,8 @@ six robust standard deviations. Its variance comes from the differences of neigh
 
 so that a ramp does not count as noise. The fit accounts for bias instability from block to block.
 
-Sessions are prepared first. Afterwards each reading occurs once, in the calibration's units, with restored codes, and each session
-has one switch-on.
-
-If the clock of a session with several recordings continues from one recording to the next, the device was switched on once, when
-the first recording began. A clock that starts again is another switch-on.
-
-The fit assumes that sessions are independent. A copy of a session would halve the variance and add a second switch-on, so it is
-refused.
+Sessions are prepared first, in the calibration's units and with restored codes. If the clock of a session with several recordings
+starts again, the device was switched on again. A copy of a session would halve the variance and add a switch-on: it is refused.
 """
 
 import hashlib

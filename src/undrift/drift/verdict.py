@@ -3,7 +3,7 @@
 Comparison with the calibration's constants, before tables replace them::
 
     turns      inv(K_c) K    near one for K of each soak and K_c of the calibration (another order or sign of axes is refused)
-    scale      its diagonal at the reference temperature, minus 1
+    scale      its diagonal at the node nearest to the reference temperature, minus 1
     offset     table at the reference temperature, or at the nearest observed node, minus the calibration's constant
     gravity    length of the corrected specific force at the rests nearest the reference temperature, minus g
     sessions   standard deviation from session to session
@@ -85,16 +85,12 @@ def turns_verdict(scale: ScaleFit | None, device: Calibration) -> Verdict:
     ratios = ", ".join(f"{value:.3g}" for value in np.diag(typical))
     what = "thermal session's turns against the calibration"
     check_axis_order(typical, f"{what} (scale ratios {ratios} on x, y, z)", against="turns")
-    deviation, allowed = np.zeros(3), np.zeros(3)
-    for j in range(3):
-        rows = np.flatnonzero(np.isfinite(soaks.forward[:, 0, j]))
-        if len(rows):
-            temp_c, ratio = soaks.temp_c[rows], against[rows, j, j]
-            has_reference = np.isfinite(device.reference_temp_c)
-            reference_c = device.reference_temp_c if has_reference else temp_c[np.abs(ratio - 1.0).argmin()]
-            deviation[j] = np.interp(reference_c, temp_c, ratio) - 1.0
-            allowed[j] = SCALE_PER_C * np.abs(temp_c - reference_c).min()
-    level = level_of(float((np.abs(deviation) - allowed).max()), SCALE_OFF)
+    nodes, change = scale.drift.temp_c, (np.linalg.inv(constant) @ scale.forward).diagonal(axis1=1, axis2=2) - 1.0
+    known = np.isfinite(device.reference_temp_c)  # otherwise the best case for the device
+    node = int((np.abs(nodes - device.reference_temp_c) if known else np.abs(change).max(axis=1)).argmin())
+    deviation, reference_c = change[node], device.reference_temp_c if known else nodes[node]
+    allowed = SCALE_PER_C * np.abs(soaks.temp_c - reference_c).min()
+    level = level_of(float(np.abs(deviation).max() - allowed), SCALE_OFF)
     if level == "info" or device.gyro.method == "nominal":
         return Verdict()
     return Verdict.of(
