@@ -136,13 +136,6 @@ def test_windows_of_six_seconds_are_averaged_with_their_noise():
     np.testing.assert_allclose(poses.noise, 0.03 / np.sqrt(600.0), rtol=0.27)
 
 
-def test_face_means_need_one_accelerometer_unit():
-    record, stills = session(seconds=1.0)
-    other = Record(time=record.time, gyro=record.accel)
-    with pytest.raises(InputError, match=r"readings in m/s2 .* got none in recording 1"):
-        face_means([record, other], [stills[0], Still(start=0, stop=50, face="-x", recording=1)])
-
-
 def test_a_face_that_is_all_gap_is_refused():
     record, stills = session(seconds=1.0)
     gappy = np.array(record.accel)

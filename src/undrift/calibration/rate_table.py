@@ -316,7 +316,7 @@ def calibrate_rates(observed: Observed, mode: str | None, accel: TriadFit | None
 def _join_rests(
     dwells: DwellMeans, observed: Observed, turning: Sequence[Turn], accel: TriadModel | None
 ) -> tuple[DwellMeans, list[Still]]:
-    """Return dwells and rests with their specific force, and the rests, or the dwells alone if a recording lacks a triad.
+    """Return dwells and rests with their specific force, and the rests, or the dwells alone without whole rests.
 
     Without accelerometers only rests on labelled faces count, with gravity along the face.
     """
@@ -326,8 +326,7 @@ def _join_rests(
     pieces: list[Turn | Still] = [*turning, *rests]
     parts = [records[piece.recording].part(piece.start, piece.stop) for piece in pieces]
     windows = [np.asarray(stretch.gyro, float) for stretch in parts[len(turning) :]]
-    no_accel = accel is not None and any(stretch.accel is None for stretch in parts)
-    if not windows or no_accel or any(np.isnan(window).any() for window in windows):
+    if not windows or any(np.isnan(window).any() for window in windows):
         return dwells, []
     noise = noise_of_means(windows, [block_size(records[rest.recording].sample_rate_hz) for rest in rests])
     if noise is None:
@@ -337,7 +336,7 @@ def _join_rests(
         up = np.vstack((dwells.axis_b * dwells.up[:, None], face_vectors(faces)))
         force = up * observed.session.gravity_m_s2
     else:
-        mean_force = np.array([np.nanmean(stretch.accel, axis=0) for stretch in parts if stretch.accel is not None])
+        mean_force = np.array([np.nanmean(np.asarray(stretch.accel), axis=0) for stretch in parts])
         force = (mean_force - accel.offset) @ accel.matrix.T
     joined = dwells.with_rests(
         np.array([window.mean(axis=0) for window in windows]),

@@ -124,7 +124,7 @@ def face_means(
         wanted = max(2, round(window_s * records[still.recording].sample_rate_hz))
         start = still.start + max(0, (still.stop - still.start - wanted) // 2)
         middles.append(replace(still, start=start, stop=min(still.stop, start + wanted)))
-    windows = [_window(records[still.recording], still, unit, polynomial_degree) for still in middles]
+    windows = [_window(records[still.recording], still, polynomial_degree) for still in middles]
     filtered = [polynomial_filter(window, polynomial_degree) for window in windows]
     sizes = [block_size(records[still.recording].sample_rate_hz) for still in middles]
     noise = noise_of_means([rest for _, rest in filtered], sizes, removed=polynomial_degree + 1)
@@ -140,12 +140,7 @@ def face_means(
     )
 
 
-def _window(record: Record, still: Still, unit: str, degree: int) -> FloatArray:
-    if record.accel is None or record.accel_unit != unit:
-        raise InputError(
-            f"six faces: expected accelerometer readings in {unit} in every recording, got "
-            f"{'none' if record.accel is None else record.accel_unit} in recording {still.recording}. Map all columns to one unit."
-        )
+def _window(record: Record, still: Still, degree: int) -> FloatArray:
     window = whole_readings(record.accel, still.start, still.stop)
     if len(window) <= degree + 1:
         raise InputError(

@@ -108,7 +108,7 @@ def dwell_means(
     """
     used = table_turns(turns)
     unit = records[used[0].recording].gyro_unit if used else "rad/s"
-    parts = [_discard_settling(records[t.recording], t, unit, settle_s) for t in used]
+    parts = [_discard_settling(records[t.recording], t, settle_s) for t in used]
     windows = [np.asarray(record.gyro) for record in parts]
     smooth = [
         w if cutoff_hz is None else spline_filter(record.time, w, cutoff_hz)
@@ -155,12 +155,7 @@ def spline_filter(time: FloatArray, values: FloatArray, cutoff_hz: float) -> Flo
     return np.column_stack([make_smoothing_spline(elapsed, column, lam=stiffness)(elapsed) for column in values.T])
 
 
-def _discard_settling(record: Record, turn: Turn, unit: str, settle_s: float) -> Record:
-    if record.gyro is None or record.gyro_unit != unit:
-        raise InputError(
-            f"rate table: expected gyroscope readings in {unit} in every recording, got "
-            f"{'none' if record.gyro is None else record.gyro_unit} in recording {turn.recording}. Map all columns to one unit."
-        )
+def _discard_settling(record: Record, turn: Turn, settle_s: float) -> Record:
     used = steady(record, turn, settle_s)
     dwell = record.part(used.start, used.stop)
     if len(dwell) < LEAST_SAMPLES:
@@ -329,10 +324,8 @@ def _force_in_dwell(
     record: Record, turn: Turn, azimuth: FloatArray, accel: TriadModel, level_axes: list[int], settle_s: float
 ) -> FloatArray:
     """Return block means (B, 4) of cosine and sine of the azimuth and of the force across the axis, without blocks with gaps."""
-    if record.accel is None:
-        return np.empty((0, 4))
     window = steady(record, turn, min(settle_s, FILTER_S))
-    force = (record.accel[window] - accel.offset) @ accel.matrix[level_axes].T
+    force = (np.asarray(record.accel)[window] - accel.offset) @ accel.matrix[level_axes].T
     values = np.column_stack((np.cos(azimuth[window]), np.sin(azimuth[window]), force))
     size = max(block_size(record.sample_rate_hz), len(values) // MOST_BLOCKS)
     means = values[: len(values) // size * size].reshape(-1, size, 4).mean(axis=1)
