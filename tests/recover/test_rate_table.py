@@ -7,7 +7,8 @@ import pytest
 
 from testkit.cohorts import COHORTS
 from testkit.cramer_rao import Array, Tally, carried, information, inverse_model, jacobian, white_device
-from undrift.calibration.rate_table import RateTableMode, fit_rate_table
+from undrift.calibration.rate_table import fit_rate_table
+from undrift.calibration.settings import Mode
 from undrift.calibration.table import DwellMeans, dwell_means
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import simulate_device
@@ -65,7 +66,7 @@ def bound(device: DeviceModel, dwells: DwellMeans, free: int = 12) -> Array:
 
 
 @pytest.mark.parametrize("mode", ["paper", "affine"])
-def test_dwells_give_back_the_device_without_noise(mode: RateTableMode) -> None:
+def test_dwells_give_back_the_device_without_noise(mode: Mode) -> None:
     rng = np.random.default_rng(1)
     device = white_device(rng).without_noise()
     if mode == "paper":

@@ -16,7 +16,8 @@ from testkit.cramer_rao import (
     white_device,
 )
 from testkit.data import show
-from undrift.calibration.six_face import FaceMeans, SixFaceMode, face_means, fit_six_face
+from undrift.calibration.settings import Mode
+from undrift.calibration.six_face import FaceMeans, face_means, fit_six_face
 from undrift.model import TriadModel
 from undrift.record import FACES
 from undrift.sim.bench_errors import BenchErrors
@@ -40,7 +41,7 @@ def poses_of(device: DeviceModel, rng: np.random.Generator, tilt: float = 0.0) -
     return face_means((simulate_device(device, motion, rng=rng).record,), motion.stills)
 
 
-def fitted(poses: FaceMeans, mode: SixFaceMode) -> TriadModel:
+def fitted(poses: FaceMeans, mode: Mode) -> TriadModel:
     return fit_six_face(poses, gravity=STANDARD_GRAVITY, mode=mode).model
 
 
@@ -86,7 +87,7 @@ def error_of(model: TriadModel, device: DeviceModel) -> Array:
 
 
 @pytest.mark.parametrize("mode", ["paper", "affine"])
-def test_six_faces_give_back_the_device_without_noise(mode: SixFaceMode) -> None:
+def test_six_faces_give_back_the_device_without_noise(mode: Mode) -> None:
     rng = np.random.default_rng(1)
     device = white_device(rng).without_noise()
     if mode == "paper":

@@ -23,7 +23,7 @@ session. Parameters that the session does not determine keep their prior: G, and
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -36,8 +36,9 @@ from undrift.calibration.plausibility import (
     face_vectors,
 )
 from undrift.calibration.session import Observed, Outcome, spans_of, with_offset
+from undrift.calibration.settings import Mode
 from undrift.calibration.sources import Creep, creep_of, gyro_drift, in_case, walks_of
-from undrift.calibration.table import DwellMeans, dwell_means, imposed_rates, mountings, table_axes, table_turns
+from undrift.calibration.table import DwellMeans, dwell_means, imposed_rates, mountings, table_axes
 from undrift.errors import Implausible, NotObservable
 from undrift.findings import Finding, above, finding
 from undrift.fit.gls import GlsFit, Prior, block_size, fit_huber, noise_of_means, solve_inverse
@@ -53,18 +54,15 @@ from undrift.model import AXES, TriadModel, Verdict
 from undrift.record import Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
-MINUTE_S = 60.0
 MIN_NOISE = 1e-9  # relative to the largest reading, the arithmetic error of the filter
 
 # ---- fit of dwells and rests
-
-RateTableMode = Literal["paper", "affine"]
 
 
 def fit_rate_table(
     dwells: DwellMeans,
     *,
-    mode: RateTableMode = "affine",
+    mode: Mode = "affine",
     latitude_deg: float | None = None,
     scale_tolerance: float = SCALE_TOLERANCE,
     cross_axis_prior: float = 0.01,
@@ -206,7 +204,7 @@ def _rate_across(dwells: DwellMeans) -> FloatArray:
 
 def _findings(model: TriadModel, fit: GlsFit, dwells: DwellMeans) -> Iterator[Finding]:
     walk = max((variance for kind, variance in fit.excess.items() if kind.startswith("instability")), default=0.0)
-    dps = (walk * MINUTE_S) ** 0.5 / RADIAN_PER_DEGREE
+    dps = (walk * 60.0) ** 0.5 / RADIAN_PER_DEGREE
     yield from above("rate_table.drift", dps, DRIFT_DPS, dps_per_minute=dps)
     yield from limited_by_codes("gyroscope", dwells.codes, np.diag(model.covariance)[9:12], dwells.unit)
     uncertain = 100.0 * model.relative_uncertainty
@@ -273,7 +271,8 @@ def check_dwells(dwells: DwellMeans, rates: FloatArray, numbers: Sequence[int]) 
 
 def calibrate_rates(observed: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
     """Fit the gyroscopes of a session to its turns at known rates."""
-    session, settings, turns = observed.session, observed.settings, table_turns(observed.session.turns)
+    session, settings = observed.session, observed.settings
+    turns = [turn for turn in session.turns if turn.axis is not None and turn.turn_rate is not None]
     dwells = dwell_means(session.records, turns, settle_s=settings.settle_s, cutoff_hz=settings.spline_cutoff_hz)
     turn_axes = tuple(axis for axis in AXES if axis in dwells.axis)
     model = None if accel is None else accel.model

@@ -18,7 +18,7 @@ same tilt. The covariance along gravity includes the cosine error for a tilt of 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -35,6 +35,7 @@ from undrift.calibration.plausibility import (
 )
 from undrift.calibration.quality import whole_readings
 from undrift.calibration.session import Observed, Outcome, spans_of, with_offset
+from undrift.calibration.settings import Mode
 from undrift.calibration.sources import Creep, creep_of, flicker_about_mean, in_case
 from undrift.calibration.table import mountings
 from undrift.errors import InputError, NotObservable
@@ -47,8 +48,6 @@ from undrift.record import Face, Record, Still
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
 # ---- fit of the face means
-
-SixFaceMode = Literal["paper", "affine"]
 
 MIN_NOISE = 1e-12  # relative to the largest reading, the arithmetic error of a mean
 TILT_LIMIT = 0.5 * RADIAN_PER_DEGREE
@@ -69,7 +68,7 @@ class FaceMeans:
     placement: IntArray | None = None  # (P,), number of the placement of each pose, or None if every pose has its own
 
 
-def fit_six_face(poses: FaceMeans, *, gravity: float, mode: SixFaceMode = "affine") -> TriadFit:
+def fit_six_face(poses: FaceMeans, *, gravity: float, mode: Mode = "affine") -> TriadFit:
     """Fit accelerometers to mean readings of their faces."""
     inputs, gls = gravity * face_vectors(poses.faces), solve_faces(poses, gravity, mode)
     tilt = gls.excess.get("level", 0.0) ** 0.5
@@ -86,7 +85,7 @@ def fit_six_face(poses: FaceMeans, *, gravity: float, mode: SixFaceMode = "affin
     return replace(fit, verdict=fit.verdict.also(Verdict.of(*findings)))
 
 
-def solve_faces(poses: FaceMeans, gravity: float, mode: SixFaceMode = "affine") -> GlsFit:
+def solve_faces(poses: FaceMeans, gravity: float, mode: Mode = "affine") -> GlsFit:
     """Return the fit of M and c, and the covariances of its rows, (m/s2)^2. Its excess ``level`` is the variance of the tilt."""
     _check(poses, gravity, mode)
     up = face_vectors(poses.faces)
@@ -158,7 +157,7 @@ def polynomial_filter(values: FloatArray, degree: int) -> tuple[FloatArray, Floa
     return filtered, values - filtered
 
 
-def _check(poses: FaceMeans, gravity: float, mode: SixFaceMode) -> None:
+def _check(poses: FaceMeans, gravity: float, mode: Mode) -> None:
     if len(poses.faces) < 5:
         count = len(poses.faces)
         raise NotObservable(

@@ -93,38 +93,29 @@ class DwellMeans:
         )
 
 
-def table_turns(turns: Sequence[Turn]) -> list[Turn]:
-    """Return the turns at known rates."""
-    return [turn for turn in turns if turn.axis is not None and turn.turn_rate is not None]
-
-
 def dwell_means(
     records: Sequence[Record], turns: Sequence[Turn], *, settle_s: float = SETTLE_S, cutoff_hz: float | None = None
 ) -> DwellMeans:
-    """Average the steady turns of a session.
+    """Average turns at known rates.
 
     The first ``settle_s`` of each dwell are omitted, but at most half of it. The note's smoothing spline halves the signal at
     ``cutoff_hz``. It is not applied if ``cutoff_hz`` is None, which leaves the means unchanged.
     """
-    used = table_turns(turns)
-    unit = records[used[0].recording].gyro_unit if used else "rad/s"
-    parts = [_discard_settling(records[t.recording], t, settle_s) for t in used]
-    windows = [np.asarray(record.gyro) for record in parts]
-    smooth = [
-        w if cutoff_hz is None else spline_filter(record.time, w, cutoff_hz)
-        for record, w in zip(parts, windows, strict=True)
-    ]
-    noise = noise_of_means(windows, [block_size(records[t.recording].sample_rate_hz) for t in used])
-    step = code_steps([records[k] for k in {t.recording for t in used}], rate=True)
-    codes = code_variance(step, scatter_of_readings(windows)) if used else np.zeros(3)
+    parts = [_discard_settling(records[t.recording], t, settle_s) for t in turns]
+    windows = smooth = [np.asarray(record.gyro) for record in parts]
+    if cutoff_hz is not None:
+        smooth = [spline_filter(record.time, w, cutoff_hz) for record, w in zip(parts, windows, strict=True)]
+    noise = noise_of_means(windows, [block_size(records[t.recording].sample_rate_hz) for t in turns])
+    step = code_steps([records[k] for k in {t.recording for t in turns}], rate=True)
+    codes = code_variance(step, scatter_of_readings(windows))
     return DwellMeans(
-        reading=np.array([w.mean(axis=0) for w in smooth]).reshape(-1, 3),
-        turn_rate=np.array([t.turn_rate for t in used], float),
-        axis=tuple(t.axis for t in used if t.axis is not None),
+        reading=np.array([w.mean(axis=0) for w in smooth]),
+        turn_rate=np.array([t.turn_rate for t in turns], float),
+        axis=tuple(t.axis for t in turns),
         noise=None if noise is None else np.hypot(noise, np.sqrt(codes)),
-        up=np.array([_points_up(record, AXES.index(t.axis or "x")) for record, t in zip(parts, used, strict=True)]),
-        unit=unit,
-        span=spans_of(records, used),
+        up=np.array([_points_up(record, AXES.index(t.axis or "x")) for record, t in zip(parts, turns, strict=True)]),
+        unit=parts[0].gyro_unit,
+        span=spans_of(records, turns),
         step=step,
         codes=codes,
     )
