@@ -28,7 +28,7 @@ from undrift.calibration.plausibility import without_saturated
 from undrift.calibration.reference_windows import STRIDE_S, Recording, Solution, Windows, solve, window_equations
 from undrift.errors import AlignmentError, Implausible, InputError, NotObservable, check_choice
 from undrift.findings import Finding, finding
-from undrift.fit.triad import TriadFit
+from undrift.fit.triad import TriadFit, triad_fit
 from undrift.frames import quaternion_of, quaternion_product
 from undrift.model import CODE_NAMES, MATRIX_NAMES, MOVING_NAMES, OFFSET_NAMES, AdcModel, TriadModel, Verdict
 from undrift.record import Mounting, Record, Reference
@@ -42,8 +42,8 @@ from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 class ReferenceFit:
     """A gyroscope fitted to the references of R recordings."""
 
-    # model, residuals of the longest windows (rad, shape (n, 3)), verdict. The offset of the model is the mean at rest if the model
-    # has a ``moving_offset``, otherwise the offset in motion
+    # residuals: rotations of the longest windows, over their length. The offset of the model is the mean at rest if the model has a
+    # ``moving_offset``, otherwise the offset in motion
     triad: TriadFit
     motion_offset: FloatArray  # (3,), reading in motion minus reading at rest, at zero rate, raw unit
     rest_offsets: FloatArray  # (R, 3), mean reading at rest of each recording, raw unit, or NaN without a rest
@@ -102,7 +102,7 @@ def align(record: Record, reference: Reference, lag_settings: sync.LagSettings =
     )
 
 
-def recording_of(aligned: Aligned, *, turning: bool = True) -> Recording:
+def recording_of(aligned: Aligned, *, turning: bool) -> Recording:
     """Return a recording with its mean at rest and the poses at the ends of windows."""
     gyro, time, span, poses, lag = aligned.gyro, aligned.record.time, aligned.span, aligned.reference, aligned.lag
     gap: BoolArray = np.asarray(np.isnan(gyro).any(axis=1))
@@ -182,17 +182,6 @@ def fit_reference(
     return fit_aligned(_align_all(records, references, lag_settings), mounting, adc=adc)
 
 
-def fit_aligned(
-    aligned: Sequence[Aligned], mounting: Mounting, *, turning: bool = True, adc: AdcModel | None = None
-) -> ReferenceFit:
-    """Fit the gyroscope of a device to recordings whose lag and motion are known.
-
-    d acts while the device turns, or without ``turning`` from the first to the last rest.
-    """
-    recordings = [recording_of(recording, turning=turning) for recording in aligned]
-    return _fit(recordings, mounting, aligned[0].record.gyro_unit, adc, moving_apart=turning)
-
-
 def leave_one_out(
     records: Sequence[Record],
     references: Sequence[Reference],
@@ -207,14 +196,12 @@ def leave_one_out(
     if len(records) < 2:
         raise InputError(f"leave one out: two recordings of a device or more are needed, got {len(records)}.")
     aligned = _align_all(records, references, lag_settings)
-    recordings = [recording_of(recording) for recording in aligned]
     trials = list[HeldOut]()
-    for k, recording in enumerate(recordings):
+    for k, held_out in enumerate(aligned):
         progress(f"fit without recording {k + 1} of {len(records)}", k / len(records))
-        fit = _fit([*recordings[:k], *recordings[k + 1 :]], mounting, records[0].gyro_unit, adc)
-        codes = fit.triad.model.code_offset
-        rest = recording.rest if codes is None else recording.rest + recording.rest_sign * codes
-        trials.append(HeldOut(fit, fit.model_at_rest_offset(rest)))
+        fit = fit_aligned([*aligned[:k], *aligned[k + 1 :]], mounting, adc=adc)
+        (rest, _, sign), codes = rest_reading(held_out), fit.triad.model.code_offset
+        trials.append(HeldOut(fit, fit.model_at_rest_offset(rest if codes is None else rest + sign * codes)))
     return tuple(trials)
 
 
@@ -270,11 +257,15 @@ class _Parameters:
         return replace(self, value=self.value + full_step, mountings=mountings)
 
 
-def _fit(
-    recordings: Sequence[Recording], mounting: Mounting, unit: str, adc: AdcModel | None, *, moving_apart: bool = True
+def fit_aligned(
+    aligned: Sequence[Aligned], mounting: Mounting, *, turning: bool = True, adc: AdcModel | None = None
 ) -> ReferenceFit:
-    """Fit a device to short windows, then to longer windows, each time starting from the previous fit."""
-    parameters = _start(recordings, mounting, unit, adc, moving_apart=moving_apart)
+    """Fit the gyroscope of a device to short windows, then to longer windows, each time starting from the previous fit.
+
+    d acts while the device turns, or without ``turning`` from the first to the last rest.
+    """
+    recordings, unit = [recording_of(item, turning=turning) for item in aligned], aligned[0].record.gyro_unit
+    parameters = _start(recordings, mounting, unit, adc, moving_apart=turning)
     solution, scale, window_s = None, USUAL_RESIDUAL, 0.0
     for length_s in WINDOWS_S:
         reach = round(length_s / STRIDE_S)
@@ -411,7 +402,8 @@ def _result(
     covariance = block_diag(np.zeros((15, 15)), np.diag(spread**2))
     covariance[np.ix_(free, free)] = solution.covariance[: len(free), : len(free)]
     rates = [(r.gyro[r.moving] - base - motion_offset) @ matrix.T for r in recordings]
-    model = TriadModel(
+    triad = triad_fit(
+        solution.residuals / window_s,
         method="reference/motion",
         unit_in=unit,
         unit_out="rad/s",
@@ -419,23 +411,18 @@ def _result(
         offset=base if moving_apart else base + motion_offset,
         parameters=MATRIX_NAMES + OFFSET_NAMES + MOVING_NAMES * moving_apart + CODE_NAMES * coded,
         covariance=jacobian @ covariance @ jacobian.T,
-        rms_residual=float(np.sqrt((solution.residuals**2).mean())) / window_s,
-        count=solution.residuals.size,
         rank=len(free),
         condition=solution.condition,
         valid_range=(min(float(rate.min()) for rate in rates), max(float(rate.max()) for rate in rates)),
         moving_offset=moving if moving_apart else None,
         code_offset=codes if coded else None,
     )
-    findings = [item for r in recordings for item in r.findings]
+    findings = [
+        *_findings(triad.model, parameters.expected[:9].reshape(3, 3), [r.rest for r in rested]),
+        *(item for r in recordings for item in r.findings),
+    ]
     return ReferenceFit(
-        triad=TriadFit(
-            model=model,
-            residuals=solution.residuals,
-            verdict=Verdict.of(
-                *_findings(model, parameters.expected[:9].reshape(3, 3), [r.rest for r in rested]), *findings
-            ),
-        ),
+        triad=replace(triad, verdict=Verdict.of(*findings)),
         motion_offset=motion_offset,
         rest_offsets=np.array([r.rest for r in recordings]),
         lags_s=np.array([r.lag.seconds for r in recordings]),
