@@ -324,7 +324,10 @@ def _result(
         offset_uncertainty=np.array([spread[numbers].max(axis=0) for numbers in numbers_of]),
         acceleration=acceleration,
     )
-    length = np.median([np.median(np.linalg.norm(record.accel, axis=1)) for record in records]) / STANDARD_GRAVITY
+    length = (
+        np.median([np.median(np.linalg.norm(np.asarray(record.accel), axis=1)) for record in records])
+        / STANDARD_GRAVITY
+    )
     rate_hz = records[0].sample_rate_hz
     check_own_scale(
         fit.gyro.model.scale_factor, gyro_unit, "rate", TOLERANCE, "motion, gyroscope", sample_rate_hz=rate_hz

@@ -105,9 +105,10 @@ def rotation_rows(
 ) -> RotationRows:
     """Average the readings of a session over its rests and turns. Matrix and offset describe the accelerometer, if there is one."""
     used = [turn for turn in turns if turn.axis is not None and turn.angle is not None]
+    candidates: tuple[Still | Turn, ...] = (*stills, *used)
     pieces, windows, duration, slip = list[Still | Turn](), list[FloatArray](), list[float](), list[FloatArray]()
     reading, force, spread = list[FloatArray](), list[FloatArray](), list[float]()
-    for piece in (*stills, *used):
+    for piece in candidates:
         gyro, specific_force = _readings(records[piece.recording], piece, matrix, offset)
         finite = np.isfinite(gyro).all(axis=1) & np.isfinite(specific_force).all(axis=1)
         if isinstance(piece, Turn):

@@ -116,13 +116,6 @@ class Moves:
         """Length of each move (J,), s."""
         return np.asarray(self.time[self.last] - self.time[self.first])
 
-    @property
-    def spans(self) -> FloatArray:
-        """Start and end of the stills and the moves (K + J, 2), s, on a common clock, with recordings in sequence."""
-        clock = np.concatenate(([0.0], np.cumsum(np.diff(self.time).clip(0.0))))
-        edges = np.append(self.start, self.first), np.append(self.stop - 1, self.last)
-        return np.asarray(clock[np.column_stack(edges)])
-
 
 def cut_moves(records: Sequence[Record], stills: Sequence[Still]) -> tuple[Moves, tuple[Finding, ...]]:
     """Return the moves between neighbouring stills of a record, without moves that contain gaps or saturated readings.
@@ -197,23 +190,9 @@ def rough_matrix(moves: Moves, accel: TriadModel, offset: FloatArray) -> FloatAr
     return np.asarray(matrix.reshape(3, 3))
 
 
-_CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).transpose(0, 2, 1)  # cross product matrix of each axis
-
-
 def cross_matrix(n: FloatArray) -> FloatArray:
     """Return the matrices (K, 3, 3) of the cross product with vectors (K, 3)."""
-    return np.tensordot(n, _CROSS, axes=1)
-
-
-def turned_in(moves: Moves, gyro: FloatArray, matrix: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the rotations C (J, 3, 3) of the moves, start to end, and the sums (J, 4, 3, 3) of their derivatives."""
-    from undrift.kernels.calibrate import rotations_between
-
-    j = len(moves.first)
-    rotation, sums = np.empty(9 * j), np.empty(36 * j)
-    readings, m = np.ascontiguousarray(gyro).reshape(-1), np.ascontiguousarray(matrix).reshape(-1)
-    rotations_between(readings, moves.time, moves.first, moves.last, m, offset, np.zeros(3 * j), rotation, sums)
-    return rotation.reshape(j, 3, 3).transpose(0, 2, 1), sums.reshape(j, 4, 3, 3)
+    return np.cross(n[:, None], np.eye(3)).transpose(0, 2, 1)
 
 
 # ---- fit of the gyroscopes
@@ -262,7 +241,8 @@ class _Problem:
         self.force = np.nan_to_num((moves.accel - accel.offset) @ accel.matrix.T)  # (N, 3), of each sample, m/s2
         first, last = np.append(moves.start[rests], moves.first + 1), np.append(moves.stop[rests], moves.last + 1)
         self.felt = still_moments(self.force, first, last)[0]  # (R + J, 3), mean force in each rest and move
-        span = moves.spans[np.append(rests, len(reading) + np.arange(len(moves.first)))]
+        clock = np.concatenate(([0.0], np.cumsum(np.diff(moves.time).clip(0.0))))  # s, with recordings in sequence
+        span = clock[np.column_stack((np.append(moves.start[rests], moves.first), last - 1))]
         about_mean = np.eye(len(span)) - (np.arange(len(span)) < len(rests)) / len(rests)
         # (R + J, R + J), covariance of the offset about its mean over the rests, (rad/s)^2, and of a walk of 1 rad/s/sqrt(s)
         flicker = GYRO_FLICKER**2 * flicker_of_means(span) + REST_DRIFT**2 * steady_drift(span)
@@ -278,8 +258,8 @@ class _Rows(NamedTuple):
 
     misfit: FloatArray  # (E,)
     design: FloatArray  # (E, 21)
-    by_offset: FloatArray  # (E, R + J, 3), by the offset in each rest and move, rad/s
-    by_still: FloatArray  # (E, K, 3), by the direction of gravity in each still
+    by_offset: FloatArray  # (E, 3 R + 3 J), by the offset in each rest and move, rad/s
+    by_still: FloatArray  # (E, 3 K), by the direction of gravity in each still
 
 
 def fit_moves(
@@ -347,7 +327,7 @@ def _descend(problem: _Problem, matrix: FloatArray, turns: FloatArray | None = N
         rows = _rows(problem, theta)
         at_rest = np.arange(len(rows.misfit)) < rests
         excess = {
-            "instability walk": _by_offset(rows, problem.walk),
+            "instability walk": carried(rows.by_offset, np.kron(problem.walk, np.eye(3))),
             "repeatability sway": np.where(at_rest, 1.0, 0.0),
             "repeatability hand": np.where(at_rest, 0.0, 1.0),
         }
@@ -375,43 +355,43 @@ def _descend(problem: _Problem, matrix: FloatArray, turns: FloatArray | None = N
 
 def _rows(problem: _Problem, theta: FloatArray) -> _Rows:
     """Return the rows of rests and moves, linear about parameters."""
+    from scipy.linalg import block_diag
+
+    from undrift.kernels.calibrate import rotations_between
+
     moves, n, size, rests = problem.moves, problem.directions[0], problem.size, len(problem.reading)
     matrix, offset, slope = theta[:9].reshape(3, 3), theta[9:12], theta[12:].reshape(3, 3)
-    turn, integral = turned_in(moves, moves.gyro - problem.force @ slope.T, matrix, offset)
+    count = len(moves.first)
+    gyro, rotation, sums = (moves.gyro - problem.force @ slope.T).reshape(-1), np.empty(9 * count), np.empty(36 * count)
+    rotations_between(gyro, moves.time, moves.first, moves.last, theta[:9], offset, np.zeros(3 * count), rotation, sums)
+    turn, integral = rotation.reshape(-1, 3, 3).transpose(0, 2, 1), sums.reshape(-1, 4, 3, 3)
     end = (turn @ n[moves.before][:, :, None])[:, :, 0]
     tangent = _tangent(n[moves.before + 1]).transpose(0, 2, 1)
+    angle = (tangent @ (end - n[moves.before + 1])[:, :, None]).ravel()
     # derivative of the angles by a small turn: d(C n) = C n x small turn
     turn_slopes = tangent @ cross_matrix(end) @ turn
-    numbers, pieces = np.arange(len(moves.first)), rests + len(moves.first)
-    still_slopes = np.zeros((len(numbers), 2, len(n), 3))
+    by_offset = block_diag(np.eye(3 * rests), *(-turn_slopes @ integral[:, 0] @ matrix / size))
+    still_slopes, numbers = np.zeros((count, 2, len(n), 3)), np.arange(count)
     still_slopes[numbers, :, moves.before] += tangent @ turn
     still_slopes[numbers, :, moves.before + 1] -= tangent
-    rest_slopes = np.zeros((rests, 3, pieces, 3))
-    rest_slopes[np.arange(rests), :, np.arange(rests)] = np.eye(3)
-    move_slopes = np.zeros((len(numbers), 2, pieces, 3))
-    move_slopes[numbers, :, rests + numbers] = -turn_slopes @ integral[:, 0] @ matrix / size
-    by_offset = np.concatenate((rest_slopes.reshape(-1, pieces, 3), move_slopes.reshape(-1, pieces, 3)))
-    rest_misfit = size * (offset + problem.felt[:rests] @ slope.T - problem.reading)
-    angle = (tangent @ (end - n[moves.before + 1])[:, :, None]).ravel()
     # column 3 a + b: sum of R e_a d_b dt
     matrix_slopes = turn_slopes @ integral[:, 1:].transpose(0, 2, 3, 1).reshape(-1, 3, 9)
     matrix_columns = np.concatenate((np.zeros((3 * rests, 9)), matrix_slopes.reshape(-1, 9)))
-    g_columns = np.einsum("epa,pb->eab", by_offset, problem.felt).reshape(len(by_offset), 9)
+    offset_columns = by_offset @ np.tile(np.eye(3), (len(problem.felt), 1))
+    force_columns = by_offset @ np.einsum("ac,pb->pacb", np.eye(3), problem.felt).reshape(-1, 9)
+    rest_misfit = size * (offset + problem.felt[:rests] @ slope.T - problem.reading)
     return _Rows(
-        misfit=np.concatenate((rest_misfit.ravel(), angle)),
-        design=np.hstack((matrix_columns, size * by_offset.sum(axis=1), size * g_columns)),
+        misfit=np.append(rest_misfit, angle),
+        design=np.hstack((matrix_columns, size * offset_columns, size * force_columns)),
         by_offset=by_offset,
-        by_still=np.concatenate((np.zeros((3 * rests, len(n), 3)), still_slopes.reshape(-1, len(n), 3))),
+        by_still=np.concatenate((np.zeros((3 * rests, 3 * len(n))), still_slopes.reshape(2 * count, -1))),
     )
-
-
-def _by_offset(rows: _Rows, covariance: FloatArray) -> FloatArray:
-    """Return the covariance (E, E) of the rows, from the covariance of the offset in rests and moves (R + J, R + J)."""
-    return np.asarray(np.einsum("epa,pq,fqa->ef", rows.by_offset, covariance, rows.by_offset, optimize=True))
 
 
 def _sources(problem: _Problem, rows: _Rows, theta: FloatArray) -> dict[str, FloatArray]:
     """Return the covariance (E, E) of the rows by known source."""
+    from scipy.linalg import block_diag
+
     moves, (unit, accel_slopes, still_covariance), rests = problem.moves, problem.directions, problem.reading.size
     # (rad/s)^2, mean of the axes
     sample = float((theta[:9].reshape(3, 3) ** 2 @ (problem.noise + problem.codes)).mean())
@@ -420,22 +400,22 @@ def _sources(problem: _Problem, rows: _Rows, theta: FloatArray) -> dict[str, Flo
     rest_codes = np.zeros((len(rows.misfit), 3))
     rest_codes[:rests] = np.tile(problem.size * np.sqrt(problem.codes) * np.eye(3), (len(problem.reading), 1))
     sources = {
-        "noise": np.einsum("eka,kab,fkb->ef", rows.by_still, still_covariance, rows.by_still, optimize=True)
+        "noise": carried(rows.by_still, block_diag(*still_covariance))
         + np.diag(np.append(problem.size**2 * problem.variance, readings)),
-        "level": carried(np.einsum("eka,kap->ep", rows.by_still, accel_slopes), problem.accel.covariance[:12, :12]),
+        "level": carried(rows.by_still @ accel_slopes.reshape(-1, 12), problem.accel.covariance[:12, :12]),
         "adc": rest_codes @ rest_codes.T,
-        "instability": _by_offset(rows, problem.flicker),
+        "instability": carried(rows.by_offset, np.kron(problem.flicker, np.eye(3))),
     }
     if problem.creep is not None:
         accel, gyro = problem.creep
         force, gain = STANDARD_GRAVITY * unit, problem.accel.scale_factor
         columns = np.stack([accel.columns(force[:, j], float(gain[j])) for j in range(3)], axis=1)  # (K, 3, 2)
-        pose_slopes = np.einsum("eka,kaj,kjs->ejs", rows.by_still, -accel_slopes[:, :, 9:], columns, optimize=True)
+        directions = np.einsum("kaj,kjs->kajs", -accel_slopes[:, :, 9:], columns).reshape(-1, 6)
         move_warmth = np.append(np.zeros(rests), np.repeat(problem.warmth[len(problem.reading) :], 2))
         sensor_rows = (rows.design[:, :9] * theta[:9]).reshape(-1, 3, 3).sum(axis=1)
-        offset_slopes = gyro.offset_per_k * np.einsum("epa,p->ea", rows.by_offset, problem.warmth)
-        scale_slopes = gyro.scale_per_k * move_warmth[:, None] * sensor_rows
-        slopes = np.hstack((pose_slopes.reshape(-1, 6), scale_slopes, offset_slopes))
+        offsets = gyro.offset_per_k * np.kron(problem.warmth[:, None], np.eye(3))
+        scales = gyro.scale_per_k * move_warmth[:, None] * sensor_rows
+        slopes = np.hstack((rows.by_still @ directions, rows.by_offset @ offsets, scales))
         sources["temperature"] = slopes @ slopes.T
     return sources
 
