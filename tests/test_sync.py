@@ -10,7 +10,7 @@ from testkit.axis_lag import find_axis_lag
 from testkit.hand_turns import Device, hidden, later, make_recording, upsampled
 from undrift.errors import AlignmentError, InputError
 from undrift.record import Record, Reference
-from undrift.sync import LagSettings, find_lag, find_motion, in_step, native_poses, pose_rates, seen_poses
+from undrift.sync import find_lag, find_motion, in_step, native_poses, pose_rates, seen_poses
 
 FORWARD = np.array([[1.02, 0.01, -0.004], [-0.006, 0.97, 0.012], [0.003, -0.008, 1.01]])
 
@@ -229,5 +229,5 @@ def test_a_record_that_never_moves_has_no_motion():
 
 def test_a_wider_search_is_a_setting(pair):
     record, reference = pair
-    lag = find_lag(record, later(reference, -12.0), LagSettings(longest_lag_s=20.0))
+    lag = find_lag(record, later(reference, -12.0), 20.0)
     assert lag.seconds == pytest.approx(12.00714, abs=1e-4)

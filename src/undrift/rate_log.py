@@ -21,7 +21,7 @@ from undrift.io.guess import sniff
 from undrift.io.text import parse_text
 from undrift.model import AXES
 from undrift.record import Record, Turn
-from undrift.sync import LONGEST_STEP, LagLine, LagSettings, PoseRates, coarse_lag, lag_line
+from undrift.sync import LONGEST_STEP, LagLine, PoseRates, coarse_lag, lag_line
 from undrift.units import RADIAN_PER_DEGREE
 
 TIMES = {"time_s": 1.0, "time_ms": 1e-3, "time_us": 1e-6}  # column -> factor to s
@@ -103,8 +103,8 @@ def align_clocks(log: RateLog, record: Record) -> LagLine:
     rates = rates.part((rates.start + initial_lag > record.time[0]) & (rates.stop + initial_lag < record.time[-1]))
     count = int(np.clip(np.ptp(rates.start) / PART_S, 1, PARTS))
     parts = [rates.part(rows) for rows in np.array_split(np.arange(len(rates.start)), count) if rates.rate[rows].any()]
-    settings = LagSettings(longest_lag_s=abs(initial_lag) + REACH_S, average_s=0.1)
-    line = lag_line(record, parts, settings, near=initial_lag, floor_s=FLOOR_S)
+    longest_lag_s = abs(initial_lag) + REACH_S
+    line = lag_line(record, parts, longest_lag_s, near=initial_lag, average_s=0.1, floor_s=FLOOR_S)
     if (off_s := np.abs(line.off_s).max()) > JUMP_S:
         raise AlignmentError(
             f"{log.name}: a lag is {off_s:.2f} s off a line: a clock jumped, or readings are missing. Cut both files there."

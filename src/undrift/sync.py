@@ -220,19 +220,11 @@ def _comb(t: FloatArray, guess: float) -> tuple[float, float, float]:
 # ---- lag to a fraction of a sample
 
 _STEPS = 12  # largest number of Gauss-Newton steps (the last steps change the lag by less than a microsecond)
-AVERAGE_S = 0.05  # s, of rates that are compared
+LONGEST_LAG_S = 5.0  # s, half-width of the search
+AVERAGE_S = 0.05  # s, of rates that are compared: a longer time removes more pose noise but blurs fast motion
 _BLOCK_S = 0.5  # residuals this far apart count as independent
 LEAST_AVERAGES = 30  # smallest number of common averages
 LEAST_CORRELATION = 0.7  # smallest correlation of the rates at the lag for a common motion
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LagSettings:
-    """Settings of the search for the lag."""
-
-    longest_lag_s: float = 5.0  # Half-width of the search, s
-    # averaging time of both sides, s. A longer time removes more pose noise but blurs fast motion
-    average_s: float = AVERAGE_S
 
 
 # Least singular value that counts, of the largest: with one axis the other readings are noise
@@ -250,34 +242,39 @@ class Lag:
     constant: FloatArray  # (A,), reference rate at zero reading, rad/s
 
 
-def find_lag(record: Record, reference: Reference, settings: LagSettings = LagSettings()) -> Lag:
+def find_lag(record: Record, reference: Reference, longest_lag_s: float = LONGEST_LAG_S) -> Lag:
     """Determine the lag of gyroscope readings behind poses of the same body."""
     if record.gyro is None:
         raise InputError("lag: the record has no gyroscope. Map its columns.")
-    return lag_of(record.time, record.gyro, pose_rates(native_poses(reference)), settings)
+    return lag_of(record.time, record.gyro, pose_rates(native_poses(reference)), longest_lag_s)
 
 
 def lag_of(
-    time: FloatArray, gyro: FloatArray, rates: PoseRates, settings: LagSettings, *, near: float | None = None
+    time: FloatArray,
+    gyro: FloatArray,
+    rates: PoseRates,
+    longest_lag_s: float = LONGEST_LAG_S,
+    *,
+    average_s: float = AVERAGE_S,
+    near: float | None = None,
 ) -> Lag:
     """Determine the lag of readings behind mean rates about three axes or about one, starting at ``near``, if given."""
-    lag = coarse_lag(time, gyro, rates, settings.longest_lag_s) if near is None else near
-    integral, wanted = RunningIntegral(time, gyro), _average_rates(rates, settings.average_s)
+    lag = coarse_lag(time, gyro, rates, longest_lag_s) if near is None else near
+    integral, wanted = RunningIntegral(time, gyro), _average_rates(rates, average_s)
     fit: Lag | None = None
-    limit = settings.average_s  # the linear model reaches about one averaging length
     for _ in range(_STEPS):
         fit, step = _align(integral, wanted, lag)
-        if fit is None or not abs(step) < settings.longest_lag_s:
+        if fit is None or not abs(step) < longest_lag_s:
             break
-        step = float(np.clip(step, -limit, limit))
+        step = float(np.clip(step, -average_s, average_s))  # the linear model reaches about one averaging length
         lag += step
         if abs(step) < 1e-7:
             break
     correlation = 0.0 if fit is None else fit.correlation
-    if fit is None or correlation < LEAST_CORRELATION or abs(lag) > settings.longest_lag_s + 1.0:
+    if fit is None or correlation < LEAST_CORRELATION or abs(lag) > longest_lag_s + 1.0:
         raise AlignmentError(
             f"lag: record and reference have no common motion: the correlation of their rates is {correlation:.2f} at best, within "
-            f"{settings.longest_lag_s:g} s. Check that the two files belong together, or widen `longest_lag_s`",
+            f"{longest_lag_s:g} s. Check that the two files belong together, or widen `longest_lag_s`",
             correlation=correlation,
         )
     return replace(fit, seconds=lag)
@@ -357,7 +354,13 @@ class LagLine:
 
 
 def lag_line(
-    record: Record, parts: Sequence[PoseRates], settings: LagSettings, *, near: float, floor_s: float = 1e-6
+    record: Record,
+    parts: Sequence[PoseRates],
+    longest_lag_s: float = LONGEST_LAG_S,
+    *,
+    near: float,
+    average_s: float = AVERAGE_S,
+    floor_s: float = 1e-6,
 ) -> LagLine:
     """Fit a line to the lags of parts of a recording, with an uncertainty that includes their scatter.
 
@@ -366,8 +369,8 @@ def lag_line(
     """
     lags, when = list[Lag](), list[float]()
     for section in parts:
-        lag = lag_of(record.time, np.asarray(record.gyro), section, settings, near=near)
-        if lag.standard_uncertainty < settings.average_s:
+        lag = lag_of(record.time, np.asarray(record.gyro), section, longest_lag_s, average_s=average_s, near=near)
+        if lag.standard_uncertainty < average_s:
             lags.append(lag)
             when.append(float(np.average(section.start, weights=(section.rate**2).sum(axis=1))))
     if not lags:
@@ -390,22 +393,22 @@ def lag_line(
 
 
 def in_step(
-    record: Record, poses: Reference, settings: LagSettings = LagSettings()
+    record: Record, poses: Reference, longest_lag_s: float = LONGEST_LAG_S
 ) -> tuple[Record, Lag, list[Finding]]:
     """Return the record on a clock with the reference's rate, its lag, and a finding if samples were lost."""
-    lag, rates = find_lag(record, poses, settings), pose_rates(poses)
+    lag, rates = find_lag(record, poses, longest_lag_s), pose_rates(poses)
     common = (rates.start + lag.seconds >= record.time[0]) & (rates.stop + lag.seconds <= record.time[-1])
     span_s = float(np.ptp(rates.start[common])) if common.any() else 0.0
     if not span_s > PARTS * LEAST_PART_S:
         return record, lag, []
     parts = [rates.part(rows) for rows in np.array_split(np.flatnonzero(common), PARTS)]
     try:
-        line = lag_line(record, parts, settings, near=lag.seconds)
+        line = lag_line(record, parts, longest_lag_s, near=lag.seconds)
     except AlignmentError:  # a part is still, or has no poses
         return record, lag, []
     if abs(line.skew) * span_s > LEAST_SKEW_S and abs(line.skew) > SKEW_SIGMAS * line.skew_uncertainty:
         record = replace(record, time=record.time - line.skew * (record.time - line.lag_s - line.middle_s))
-        lag = find_lag(record, poses, settings)
+        lag = find_lag(record, poses, longest_lag_s)
     lost_s = float(np.ptp(line.off_s))
     return record, lag, [finding("sync.out_of_step", "warn", most_ms=1e3 * lost_s)] if lost_s > OUT_OF_STEP_S else []
 

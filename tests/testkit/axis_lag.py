@@ -4,7 +4,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.record import Record
-from undrift.sync import LONGEST_STEP, Lag, LagSettings, PoseRates, lag_of
+from undrift.sync import LONGEST_STEP, Lag, PoseRates, lag_of
 
 
 def find_axis_lag(record: Record, time: FloatArray, angle: FloatArray) -> Lag:
@@ -13,4 +13,4 @@ def find_axis_lag(record: Record, time: FloatArray, angle: FloatArray) -> Lag:
     valid = np.isfinite(np.diff(angle)) & (step <= LONGEST_STEP * np.median(step))
     rate = np.where(valid, np.diff(angle) / step, 0.0)[:, None]
     rates = PoseRates(start=time[:-1], stop=time[1:], rate=rate, valid=valid)
-    return lag_of(record.time, np.asarray(record.gyro), rates, LagSettings(average_s=0.1))
+    return lag_of(record.time, np.asarray(record.gyro), rates, average_s=0.1)

@@ -42,7 +42,7 @@ from undrift.kernels.attitude import filtered_attitude
 from undrift.model import AdcModel, Calibration, Magnetometer, Provenance, TriadModel, Verdict, versions_used
 from undrift.record import FACES, Mounting, Record, Reference, Session, Turn
 from undrift.segments import unpadded
-from undrift.sync import LagSettings, padding
+from undrift.sync import LONGEST_LAG_S, padding
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
 Fit = Callable[[Observed, Mode | None, TriadFit | None], Outcome]
@@ -391,7 +391,7 @@ def calibrate_to_references(
     references: Sequence[Reference],
     *,
     mounting: Mounting = "each",
-    lag_settings: LagSettings = LagSettings(),
+    longest_lag_s: float = LONGEST_LAG_S,
     gravity_m_s2: float | None = None,
 ) -> Calibration:
     """Calibrate one device from recordings with an orientation reference.
@@ -404,8 +404,8 @@ def calibrate_to_references(
         Raw recordings of one device, best with a rest of 3 s before the motion, and one reference per recording.
     mounting : str
         "each" if the device was put on the reference body again for each recording, or "one".
-    lag_settings : LagSettings
-        Settings of the search for the lag between the clocks.
+    longest_lag_s : float
+        Largest lag between the clocks, s.
     gravity_m_s2 : float, optional
         Local gravity, m/s2. If None, standard gravity is assumed and the verdict reports it.
 
@@ -421,7 +421,7 @@ def calibrate_to_references(
     """
     session = _build_session(records, gravity_m_s2)
     adc = device_adc(records)
-    fit = fit_reference(records, references, mounting=mounting, adc=adc, lag_settings=lag_settings)
+    fit = fit_reference(records, references, mounting=mounting, adc=adc, longest_lag_s=longest_lag_s)
     verdict, accel = fit.triad.verdict, None
     if all(record.accel is not None for record in records):
         readings = [restored(record, adc) for record in records]

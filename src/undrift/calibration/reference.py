@@ -85,12 +85,12 @@ class Aligned:
     findings: tuple[Finding, ...]  # about the two clocks, the ends of both files, and saturated readings
 
 
-def align(record: Record, reference: Reference, lag_settings: sync.LagSettings = sync.LagSettings()) -> Aligned:
+def align(record: Record, reference: Reference, longest_lag_s: float = sync.LONGEST_LAG_S) -> Aligned:
     """Find lag and motion of a recording, without padded rows and saturated readings."""
     full_record, record, poses = record, unpadded(record), sync.native_poses(reference)
     padded = sync.padding(full_record, record)
     record, saturated = without_saturated(record)
-    record, lag, findings = sync.in_step(record, poses, lag_settings)
+    record, lag, findings = sync.in_step(record, poses, longest_lag_s)
     poses = sync.seen_poses(record, poses, lag)
     return Aligned(
         record=record,
@@ -172,14 +172,14 @@ def fit_reference(
     *,
     mounting: Mounting = "each",
     adc: AdcModel | None = None,
-    lag_settings: sync.LagSettings = sync.LagSettings(),
+    longest_lag_s: float = sync.LONGEST_LAG_S,
 ) -> ReferenceFit:
     """Fit matrix, offset in motion, and rounding loss of a gyroscope to references, for the rounding ``adc`` of its codes.
 
     With ``mounting`` "each" the device was put on the reference body again for each recording.
     """
     check_choice(mounting, Mounting, "reference", "mounting")
-    return fit_aligned(_align_all(records, references, lag_settings), mounting, adc=adc)
+    return fit_aligned(_align_all(records, references, longest_lag_s), mounting, adc=adc)
 
 
 def leave_one_out(
@@ -188,14 +188,14 @@ def leave_one_out(
     *,
     mounting: Mounting = "each",
     adc: AdcModel | None = None,
-    lag_settings: sync.LagSettings = sync.LagSettings(),
+    longest_lag_s: float = sync.LONGEST_LAG_S,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> tuple[HeldOut, ...]:
     """Fit a model for each recording to all other recordings of the device. ``progress`` gets a text and a share from 0 to 1."""
     check_choice(mounting, Mounting, "reference", "mounting")
     if len(records) < 2:
         raise InputError(f"leave one out: two recordings of a device or more are needed, got {len(records)}.")
-    aligned = _align_all(records, references, lag_settings)
+    aligned = _align_all(records, references, longest_lag_s)
     trials = list[HeldOut]()
     for k, held_out in enumerate(aligned):
         progress(f"fit without recording {k + 1} of {len(records)}", k / len(records))
@@ -205,9 +205,7 @@ def leave_one_out(
     return tuple(trials)
 
 
-def _align_all(
-    records: Sequence[Record], references: Sequence[Reference], lag_settings: sync.LagSettings
-) -> list[Aligned]:
+def _align_all(records: Sequence[Record], references: Sequence[Reference], longest_lag_s: float) -> list[Aligned]:
     """Find lag and motion of all recordings of a device."""
     if not records or len(records) != len(references):
         raise InputError(
@@ -216,7 +214,7 @@ def _align_all(
     units = sorted({record.gyro_unit for record in records})
     if len(units) > 1:
         raise InputError(f"reference: the recordings of a device need one unit, got {', '.join(units)}. Convert them.")
-    return [align(*pair, lag_settings) for pair in zip(records, references, strict=True)]
+    return [align(*pair, longest_lag_s) for pair in zip(records, references, strict=True)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

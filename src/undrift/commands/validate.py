@@ -31,7 +31,6 @@ from undrift.units import RADIAN_PER_DEGREE
 if TYPE_CHECKING:
     from undrift.model import Calibration
     from undrift.record import Mounting, Record, Reference, Session
-    from undrift.sync import LagSettings
     from undrift.validation.agreement import Validation
     from undrift.validation.levels import LevelTable
     from undrift.validation.trial import Trial, TrialSettings
@@ -259,7 +258,6 @@ def validate(
     progress : callable
         Called with the work and its share.
     """
-    from undrift.sync import LagSettings
     from undrift.validation.trial import TrialSettings
 
     for name, value in (("leave_one_out", leave_one_out), ("gravity_m_s2", gravity_m_s2)):
@@ -272,7 +270,7 @@ def validate(
             f"`max_lag_s` must be more than 0 s, got {max_lag_s:g}. Give the largest lag between the clocks."
         )
     check_folder(output)
-    settings = TrialSettings(lag=LagSettings(longest_lag_s=max_lag_s), forward=forward or "+x", up=up or "+z")
+    settings = TrialSettings(longest_lag_s=max_lag_s, forward=forward or "+x", up=up or "+z")
     if trials is not None:
         in_table = {"calibration": calibration, "calibrate_from": calibrate_from, "reference": optics != Optics()}
         if given := [name for name, value in (in_table | {"offset": offset != "rest"}).items() if value]:
@@ -305,7 +303,7 @@ def validate(
     model, mounting = chosen.model, (session and session.mounting) or "each"
     if calibrate_from is not None:
         progress("fitting to all recordings", READ)
-        model = _fit(pairs, session, gravity_m_s2, mounting, settings.lag)
+        model = _fit(pairs, session, gravity_m_s2, mounting, settings.longest_lag_s)
     names, steps = [name_of(path) for path in records], part_of(progress, READ, 1.0)
     validated = _compare(pairs, names, model, settings, mounting if leave_one_out else None, steps)
     references = [path.name for path in optics.reference] or [""] * len(records)
@@ -328,7 +326,7 @@ def _check_readings(
         check_physical(record, path)
     with named_columns(path):
         check_triads(record)
-        check_poses(record, reference, settings.lag)
+        check_poses(record, reference, settings.longest_lag_s)
 
 
 def _fit(
@@ -336,7 +334,7 @@ def _fit(
     session: "Session | None",
     gravity_m_s2: float | None,
     mounting: "Mounting",
-    lag_settings: "LagSettings",
+    longest_lag_s: float,
 ) -> "Calibration":
     """Return the device calibrated by all references."""
     from undrift.calibration.calibrate import calibrate_to_references
@@ -345,7 +343,7 @@ def _fit(
     if session is not None and session.gravity_source != "standard":
         place = {"gravity_m_s2": session.gravity_m_s2}
     records, references = [record for record, _ in pairs], [reference for _, reference in pairs]
-    model = calibrate_to_references(records, references, mounting=mounting, lag_settings=lag_settings, **place)
+    model = calibrate_to_references(records, references, mounting=mounting, longest_lag_s=longest_lag_s, **place)
     return model if session is None else replace(model, device=session.serial or model.device)
 
 

@@ -325,7 +325,9 @@ def calibrations_by_others(
                 f"leave-one-out: recording {k + 1} has the same readings as recording {i + 1}. List each recording once."
             )
     adc = device_adc(records)
-    fits = leave_one_out(records, references, mounting=mounting, adc=adc, lag_settings=settings.lag, progress=progress)
+    fits = leave_one_out(
+        records, references, mounting=mounting, adc=adc, longest_lag_s=settings.longest_lag_s, progress=progress
+    )
     calibrations = (
         Calibration(
             device=record.device,

@@ -53,7 +53,7 @@ from undrift.orientation import (
 )
 from undrift.record import Face, Record, Reference, Still
 from undrift.segments import unpadded
-from undrift.sync import Lag, LagSettings, MotionSpan, find_motion, in_step, native_poses, padding, seen_poses
+from undrift.sync import LONGEST_LAG_S, Lag, MotionSpan, find_motion, in_step, native_poses, padding, seen_poses
 from undrift.units import RADIAN_PER_DEGREE, is_physical
 from undrift.validation.align import LEAD_S, REST_S, Align, Mounting, align, turned
 from undrift.validation.expected import ERROR_PRIOR, ErrorPrior, Expected, OffsetSource, Strapdown, expected_errors
@@ -62,7 +62,6 @@ from undrift.validation.reference_frames import check_reference
 OffsetChoice = Literal["none", "rest", "motion"]
 Track = tuple[FloatArray, FloatArray]  # times (N,) s on the clock of the record, and the orientation (N, 4) at them
 
-LAG_SETTINGS = LagSettings()
 START_S = 1.0  # time over which the reference gives the initial orientation of a recording without rest
 END_S = 3.0  # time after the motion over which the end error is taken
 FILTER_OFFSET = 0.5 * RADIAN_PER_DEGREE  # initial uncertainty of the rate offset in the filter, rad/s (as in VQF)
@@ -90,8 +89,8 @@ class TrialSettings:
         Axes of the body that span its sagittal plane.
     mounting : BodyMounting or None
         How the device is worn: its readings are turned to the axes of the segment before they are compared.
-    lag : LagSettings
-        Search of the lag.
+    longest_lag_s : float
+        Largest lag between the clocks, s.
     prior : ErrorPrior
         Changes between recordings of a device, for the expected errors.
     method : str
@@ -104,7 +103,7 @@ class TrialSettings:
     forward: Face = "+x"
     up: Face = "+z"
     mounting: BodyMounting | None = None
-    lag: LagSettings = LAG_SETTINGS
+    longest_lag_s: float = LONGEST_LAG_S
     prior: ErrorPrior = ERROR_PRIOR
     method: Literal["strapdown", "vqf"] = "strapdown"
 
@@ -322,7 +321,7 @@ def validate_trial(
     """
     name, model = name or reference.name, None if calibration is None else calibration.gyro
     record, findings = _corrected(record, calibration)
-    clocks = clocks or synchronise(record, reference, settings.lag)
+    clocks = clocks or synchronise(record, reference, settings.longest_lag_s)
     record, reference, poses, lag = replace(record, time=clocks.time), clocks.reference, clocks.poses, clocks.lag
     frame_findings = check_reference(_worn(record, settings), poses, lag.seconds)
     _check_scale(name, lag)
@@ -390,12 +389,12 @@ def validate_trial(
     )
 
 
-def check_poses(record: Record, reference: Reference, lag_settings: LagSettings = LagSettings()) -> tuple[Finding, ...]:
+def check_poses(record: Record, reference: Reference, longest_lag_s: float = LONGEST_LAG_S) -> tuple[Finding, ...]:
     """Return findings on the conventions of a reference for readings without a calibration, or refuse it."""
     if not (is_physical(record.gyro_unit) and is_physical(record.accel_unit)):
         return ()
     record = record.in_si()
-    clocks = synchronise(record, reference, lag_settings)
+    clocks = synchronise(record, reference, longest_lag_s)
     return check_reference(replace(record, time=clocks.time), clocks.poses, clocks.lag.seconds)
 
 
@@ -414,7 +413,7 @@ def _worn(record: Record, settings: TrialSettings) -> Record:
     return record if settings.mounting is None else turned(record, settings.mounting.matrix)
 
 
-def synchronise(record: Record, reference: Reference, settings: LagSettings = LagSettings()) -> Clocks:
+def synchronise(record: Record, reference: Reference, longest_lag_s: float = LONGEST_LAG_S) -> Clocks:
     """Find how the clocks of a recording and its reference differ. An error also names gaps, which can be its cause."""
     readings = np.hstack([x for x in (record.gyro, record.accel) if x is not None])
     gaps = 1.0 - float(np.isfinite(readings).all(axis=1).mean())
@@ -422,7 +421,7 @@ def synchronise(record: Record, reference: Reference, settings: LagSettings = La
         check_gaps(record.gyro, record.time, "validate")
     poses = native_poses(reference)
     try:
-        record, lag, findings = in_step(record, poses, settings)
+        record, lag, findings = in_step(record, poses, longest_lag_s)
     except AlignmentError as unmatched:
         if gaps == 0.0:
             raise
