@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from testkit import twins
 from testkit.full_calibration import GAP, STEPS, WILD
 from undrift.correction.plan import LookupTable, TableAxis, line_cells
-from undrift.kernels.correct import cell, without_line
+from undrift.kernels.correct import add_half_step, cell, without_line
 
 
 def evened(nodes):
@@ -67,7 +67,8 @@ def test_the_warm_up_is_subtracted_from_the_unrounded_reading_as_the_twin_does(h
     since, h = np.linspace(0.0, 40.0, 200), np.full(3, half_step)
     nodes, values = np.array([0.0, 2.0, 7.0, 30.0]), np.vstack((rng.normal(size=(3, 3)) * 20.0, np.zeros(3)))
     out = np.empty(600)
-    without_line(x.ravel(), since, out, h, *line_cells(LookupTable(temp=TableAxis(nodes=nodes), values=values)))
+    add_half_step(x.ravel(), out, h)
+    without_line(out, since, out, *line_cells(LookupTable(temp=TableAxis(nodes=nodes), values=values)))
     wanted = twins.rounded(x, 2.0 * h, "toward_zero") - twins.table(nodes, values, since)
     np.testing.assert_allclose(out.reshape(-1, 3), wanted, rtol=0, atol=1e-13)
     np.testing.assert_array_equal(

@@ -64,18 +64,20 @@ Offset: TypeAlias = Literal["none", "rest", "motion"] | RemainingOffset
 
 def _evaluate_triad(plan: Constants, u: FloatArray, conditions: Conditions, a: FloatArray, w: FloatArray) -> Span:
     """Evaluate the model for a triad and write readings u to w. The force a is empty without step 4."""
-    from undrift.kernels.correct import affine, subtract_g, tabulated, without_line
+    from undrift.kernels.correct import add_half_step, affine, subtract_g, tabulated, without_line
 
     matrix, offset = plan.matrix.ravel(), plan.offset
     g = np.zeros(9) if plan.g_sensitivity is None else plan.g_sensitivity.ravel()
-    h = np.zeros(3) if plan.half_step is None else plan.half_step
-    if plan.warm_up is not None and conditions.since.size:  # step 1, and o of step 2
-        without_line(u, conditions.since, w, h, *plan.warm_up)
-        u, h = w, np.zeros(3)
-    if plan.cells is not None:  # steps 1 to 5: w = M(T) (u + h sign(u) - offset(T)) - G a, then w - e(w, T)
-        least, greatest = tabulated(u, conditions.temp_c, a, w, matrix, offset, h, g, plan.cells)
+    if plan.half_step is not None:
+        add_half_step(u, w, plan.half_step)  # step 1
+        u = w
+    if plan.warm_up is not None and conditions.since.size:
+        without_line(u, conditions.since, w, *plan.warm_up)  # o of step 2
+        u = w
+    if plan.cells is not None:  # steps 2 to 5: w = M(T) (u - offset(T)) - G a, then w - e(w, T)
+        least, greatest = tabulated(u, conditions.temp_c, a, w, matrix, offset, g, plan.cells)
         return float(least), float(greatest)
-    affine(u, w, matrix, offset, h)  # steps 1 to 3: w = M (u + h sign(u) - offset)
+    affine(u, w, matrix, offset)  # steps 2 and 3: w = M (u - offset)
     if a.size:
         subtract_g(a, w, g)  # step 4: w - G a
     return NOWHERE

@@ -43,28 +43,12 @@ class Tables(NamedTuple):
 
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
-def of_code(x: float, h: float) -> float:
-    # h sign(x), but 0 for code 0, |x| < |h|
-    return (h if x > 0.0 else -h) if abs(x) > abs(h) else 0.0
-
-
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
-def affine(x: FloatArray, out: FloatArray, m: FloatArray, o: FloatArray, h: FloatArray) -> None:
-    # out = M (x + h sign(x) - o), with zero h unless codes are corrected
+def affine(x: FloatArray, out: FloatArray, m: FloatArray, o: FloatArray) -> None:
+    # out = M (x - o)
     m0, m1, m2, m3, m4, m5, m6, m7, m8 = m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
-    o0, o1, o2, h0, h1, h2 = o[0], o[1], o[2], h[0], h[1], h[2]
-    if h0 == 0.0 and h1 == 0.0 and h2 == 0.0:  # the signs would cost half as much again
-        for k in range(ZERO, np.uint64(x.size), THREE):
-            x0, x1, x2 = x[k] - o0, x[k + ONE] - o1, x[k + TWO] - o2
-            out[k] = m0 * x0 + m1 * x1 + m2 * x2
-            out[k + ONE] = m3 * x0 + m4 * x1 + m5 * x2
-            out[k + TWO] = m6 * x0 + m7 * x1 + m8 * x2
-        return
+    o0, o1, o2 = o[0], o[1], o[2]
     for k in range(ZERO, np.uint64(x.size), THREE):
-        x0, x1, x2 = x[k], x[k + ONE], x[k + TWO]
-        x0 = x0 + of_code(x0, h0) - o0
-        x1 = x1 + of_code(x1, h1) - o1
-        x2 = x2 + of_code(x2, h2) - o2
+        x0, x1, x2 = x[k] - o0, x[k + ONE] - o1, x[k + TWO] - o2
         out[k] = m0 * x0 + m1 * x1 + m2 * x2
         out[k + ONE] = m3 * x0 + m4 * x1 + m5 * x2
         out[k + TWO] = m6 * x0 + m7 * x1 + m8 * x2
@@ -154,14 +138,12 @@ def cells_of(grid: Grid, x: FloatArray, index: IndexArray, fraction: FloatArray)
 
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
-def rounded(x: FloatArray, out: FloatArray, h: FloatArray) -> None:
-    # out = x + h sign(x)
-    h0, h1, h2 = h[0], h[1], h[2]
-    for k in range(ZERO, np.uint64(x.size), THREE):
-        x0, x1, x2 = x[k], x[k + ONE], x[k + TWO]
-        out[k] = x0 + of_code(x0, h0)
-        out[k + ONE] = x1 + of_code(x1, h1)
-        out[k + TWO] = x2 + of_code(x2, h2)
+def add_half_step(x: FloatArray, out: FloatArray, h: FloatArray) -> None:
+    # out = x + h sign(x), but x for code 0, |x| < |h|
+    for k in range(0, x.size, 3):
+        for axis in range(3):
+            u, half = x[k + axis], h[axis]
+            out[k + axis] = u + ((half if u > 0.0 else -half) if abs(u) > abs(half) else 0.0)
 
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
@@ -223,23 +205,19 @@ def extremes(w: FloatArray, least: float, greatest: float) -> tuple[float, float
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
 def tabulated(
     x: FloatArray, temp: FloatArray, a: FloatArray, out: FloatArray,
-    m: FloatArray, o: FloatArray, h: FloatArray, g: FloatArray, tables: Tables,
+    m: FloatArray, o: FloatArray, g: FloatArray, tables: Tables,
 ) -> tuple[float, float]:  # fmt: skip
-    # w = M(T) (x + h sign(x) - o(T)) - G a - e(w, T) with bilinear e (a is empty without g-sensitivity). Returns the minimum and
+    # w = M(T) (x - o(T)) - G a - e(w, T) with bilinear e (a is empty without g-sensitivity). Returns the minimum and
     # maximum measured rate, so that the caller can check the range of the table. Cells are computed a block at a time, before their
     # coefficients are read, which is twice as fast as sample by sample.
     cell_index, f = np.empty(LOOKED_UP, np.uint32), np.empty(LOOKED_UP)
     matrix_at, matrix_f = np.empty(LOOKED_UP, np.uint32), np.empty(LOOKED_UP)
-    rate_at, r, y = np.empty(3 * LOOKED_UP, np.uint32), np.empty(3 * LOOKED_UP), np.empty(3 * LOOKED_UP)
+    rate_at, r = np.empty(3 * LOOKED_UP, np.uint32), np.empty(3 * LOOKED_UP)
     pe, rate_cells = tables.error, np.uint64(tables.error_rate.cells)
-    rounds = h[0] != 0.0 or h[1] != 0.0 or h[2] != 0.0
     least, greatest = math.inf, -math.inf
     for start in range(0, temp.size, LOOKED_UP):
         stop = min(start + LOOKED_UP, temp.size)
         t, u, w = temp[start:stop], x[3 * start : 3 * stop], out[3 * start : 3 * stop]
-        if rounds:
-            rounded(u, y, h)
-            u = y[: u.size]
         if tables.offset.size > 0:
             cells_of(tables.offset_temp, t, cell_index, f)
         if tables.matrix.size > 0:
@@ -259,16 +237,13 @@ def tabulated(
 
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
-def without_line(
-    x: FloatArray, since: FloatArray, out: FloatArray, h: FloatArray, grid: Grid, cells: FloatArray
-) -> None:  # fmt: skip
-    # out = x + h sign(x) - line(at): warm-up over the time since power-on, with flat cells (cells, 3, 2) of value and slope
+def without_line(x: FloatArray, since: FloatArray, out: FloatArray, grid: Grid, cells: FloatArray) -> None:
+    # out = x - line(at): warm-up over the time since power-on, with flat cells (cells, 3, 2) of value and slope
     for k in range(np.uint64(since.size)):
         i, f = cell(grid, since[k])
         for axis in range(THREE):
             q, j = THREE * k + axis, SIX * i + TWO * axis
-            u = x[q] + of_code(x[q], h[axis])
-            out[q] = u - (cells[j] + f * cells[j + ONE])
+            out[q] = x[q] - (cells[j] + f * cells[j + ONE])
 
 
 # ---- while the device turns: segments.py has the rule. rate flat (3 N,) rad/s, NaN in gaps; time (N,) s; out (N,) 1 or 0;
