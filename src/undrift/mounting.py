@@ -72,14 +72,12 @@ class _Track:
     walk: BoolArray  # (N,), straight
 
 
-def find_mounting(
-    records: Sequence[Record], place: Worn, movement: Movement = "walk", stance_s: Span | None = None
-) -> MountFit:
-    """Determine the mounting of a device from recordings without a change of mounting. ``stance_s`` is in the first."""
+def find_mounting(records: Sequence[Record], place: Worn, movement: Movement = "walk") -> MountFit:
+    """Determine the mounting of a device from recordings without a change of mounting."""
     if movement == "bow" and place != "lower-back":
         raise InputError(f"mount: a bow does not move the {place} as it moves the trunk. Choose walk.")
     tracks = [_track(record) for record in records]
-    stance = _up(tracks, stance_s)
+    stance = _up(tracks)
     if stance is None:
         return _undetermined("Up", f"nobody stands still and upright for {STANCE_S:g} s")
     up, variances, basis = stance
@@ -134,20 +132,19 @@ def _track(record: Record) -> _Track:
     return _Track(record=record, up=up, quiet=quiet, walk=walk)
 
 
-def _up(tracks: Sequence[_Track], stance_s: Span | None) -> tuple[FloatArray, Span, str] | None:
+def _up(tracks: Sequence[_Track]) -> tuple[FloatArray, Span, str] | None:
     """Return the vertical of the upright segment in b, the variances about its x and y, and its stance, or None without one."""
     steps = np.concatenate([track.up[track.walk] for track in tracks])
     walked_s = sum(float(track.walk.sum()) / track.record.sample_rate_hz for track in tracks)
     mean = steps.mean(axis=0) / np.linalg.norm(steps.mean(axis=0)) if walked_s > STANCE_S else None
     upright = []
-    for track in tracks[:1] if stance_s else tracks:
+    for track in tracks:
         time, least = track.record.time, STANCE_S * track.record.sample_rate_hz
-        quiet = [run for run in runs(track.quiet) if run[1] - run[0] >= least]
-        for first, last in [time.searchsorted(stance_s)] if stance_s else quiet:
-            still = Still(start=int(first), stop=max(int(last), int(first) + 1))
-            tilt, (start, stop) = initial_tilt(track.record, still), time[[still.start, still.stop - 1]].tolist()
+        for first, last in [run for run in runs(track.quiet) if run[1] - run[0] >= least]:
+            tilt = initial_tilt(track.record, Still(start=int(first), stop=int(last)))
             up = tilt.specific_force / np.linalg.norm(tilt.specific_force)
-            if mean is None or stance_s or up @ mean > np.cos(UPRIGHT):
+            if mean is None or up @ mean > np.cos(UPRIGHT):
+                start, stop = time[[first, last - 1]].tolist()
                 upright.append((stop - start, start, up, tilt.inclination_uncertainty**2 / 2.0))
     if not upright:
         return None

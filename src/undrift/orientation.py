@@ -350,7 +350,7 @@ def orient(
         q, findings = q if field_findings else _level_at(q, anchor, tilt.q_nb), findings + field_findings
     else:
         q = _both_ways(gyro, record.time, tilt.q_nb, anchor)
-        findings += (_expected_drift(record, anchor, uncertainty, settings.offset, rested=still is not None),)
+        findings += (_expected_drift(record, anchor, uncertainty, rested=still is not None),)
     if settings.mounting is not None:
         q = _segment_orientation(q, settings.mounting, anchor, magnetometer=settings.magnetometer)
     rest = None if still is None else slice(still.start, still.stop)
@@ -424,10 +424,9 @@ def _check_rest(record: Record, still: Still) -> tuple[Finding, ...]:
     return (finding("orient.rest_turns", "warn", how=how, **span),)
 
 
-def _expected_drift(record: Record, anchor: int, uncertainty: float, offset: str, *, rested: bool) -> Finding:
+def _expected_drift(record: Record, anchor: int, uncertainty: float, *, rested: bool) -> Finding:
     """Return a finding with the expected error of strapdown at the end farther from the rest, or from the first sample."""
-    time, method_tried = record.time, "rest" if offset == "none" and not rested else offset
-    method_tried = "motion" if offset == "none" and record.offset_uncertainty is not None else method_tried
+    time = record.time
     duration = max(float(time[-1] - time[anchor]), float(time[anchor] - time[0]))
     return finding(
         "orient.drift",
@@ -436,7 +435,6 @@ def _expected_drift(record: Record, anchor: int, uncertainty: float, offset: str
         offset_dps=uncertainty / RADIAN_PER_DEGREE,
         duration_s=duration,
         start="the rest" if rested else "the first sample",
-        option={"none": "`offset` rest", "rest": "`offset` motion or `method` vqf"}.get(method_tried, "`method` vqf"),
     )
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from undrift.base.options import Files, OptionalOutput, verb
 from undrift.base.summary import Section, Summary
-from undrift.commands.files import NamedRest, Opening, TableUse, check_output, corrected, named_columns
+from undrift.commands.files import Opening, TableUse, check_output, corrected, named_columns
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -27,7 +27,6 @@ def mount(
     worn: Worn,
     movement: Movement = "walk",
     calibration: Path | None = None,
-    named: NamedRest = NamedRest(),
     output: OptionalOutput = None,
     opening: Opening = Opening(),
 ) -> Summary:
@@ -60,9 +59,7 @@ def mount(
     for path in records:
         with named_columns(path):
             readings.append(corrected(opening.like(model, calibration).read(path), path, model, TableUse())[0])
-    still = named.still_in(readings[0])
-    span = None if still is None else (float(readings[0].time[still.start]), float(readings[0].time[still.stop - 1]))
-    return _mount_summary(find_mounting(readings, worn, movement, span), records, model, output)
+    return _mount_summary(find_mounting(readings, worn, movement), records, model, output)
 
 
 def _mount_summary(

@@ -181,13 +181,13 @@ def find_offset(
 def rests_from_first(record: Record, what: str) -> tuple[Still, ...]:
     """Return the first still phase of a record, the rest of every offset "rest", and those that follow it."""
     stills = _first_rests(record, what)
-    later_stills = stills if len(_head(record)) == len(record) else find_still(record).stills
+    later_stills = stills if record.duration_s < FOUND_IN_S else find_still(record).stills
     return stills[0], *(still for still in later_stills if still.start >= stills[0].stop)
 
 
 def _first_rests(record: Record, what: str) -> tuple[Still, ...]:
-    """Return the still phases of the head of a record. Raise if there are none."""
-    head = unpadded(_head(record))
+    first_s = float(record.time[0])
+    head = unpadded(record if record.duration_s < FOUND_IN_S else record.between(first_s, first_s + FOUND_IN_S))
     first = int(record.time.searchsorted(head.time[0]))
     search = find_still(head)
     if not search.stills:
@@ -199,18 +199,11 @@ def _first_rests(record: Record, what: str) -> tuple[Still, ...]:
     return tuple(replace(still, start=still.start + first, stop=still.stop + first) for still in search.stills)
 
 
-def _head(record: Record) -> Record:
-    """Return the part of a record in which a rest is looked for."""
-    first = float(record.time[0])
-    return record if record.time[-1] < first + FOUND_IN_S else record.between(first, first + FOUND_IN_S)
-
-
 # ---- What is uncertain of the mean specific force at a rest, a covariance (3, 3), (m/s2)^2, by source
 #
 # ``scatter``      of the mean, with the correlation between samples
-# ``sway``         of a person in quiet stance: the tilt applies to the end of the rest, but the mean covers all of it. They differ
-#                  by the spread of means over a second beyond white noise. A slow lean ends farther away, up to twice in variance,
-#                  but accelerations look like tilt. In simulated stance, 3 to 10 s, 97 % of errors are within the 95 % limit
+# ``sway``         of a person in quiet stance: the tilt at the end of the rest differs from the mean by the spread of means over
+#                  a second beyond white noise. In simulated stance, 3 to 10 s, 97 % of errors are within the 95 % limit
 # ``calibration``  E f + d (``record.ForceUncertainty``): f = M (s - o), so that E = dM M^-1 and d = -M do
 # ``temperature``  of offsets and scale factors, for the distance to their reference temperatures
 # ``ageing``       of the offsets since the calibration, and their repeatability from one switch-on to the next
