@@ -84,15 +84,11 @@ class Budget:
         if not (remainder >= -_EXCEEDS * variances).all():
             shares, remainder, rest = {}, variances, "fit"
         shares[rest] = shares.get(rest, 0.0) + np.maximum(remainder, 0.0)
-        variance = np.array([shares[name] for name in SOURCES if name in shares])
+        names = tuple(name for name in SOURCES if name in shares and shares[name].any())
+        variance = np.array([shares[name] for name in names]).reshape(-1, len(variances))
         total = variance.sum(axis=0)
         variance *= np.divide(variances, total, out=np.ones_like(variances), where=total > 0.0)
-        nonzero: BoolArray = np.any(variance > 0.0, axis=1)
-        names = [name for name in SOURCES if name in shares]
-        return cls(
-            sources=tuple(name for name, keeps in zip(names, nonzero.tolist(), strict=True) if keeps),
-            uncertainty=np.sqrt(variance[nonzero]).reshape(-1, len(variances)),
-        )
+        return cls(sources=names, uncertainty=np.sqrt(variance))
 
 
 @stored(whole=True)
@@ -146,10 +142,9 @@ class TriadModel:
         parts = (self.matrix, self.offset, self.g_sensitivity, self.moving_offset, self.code_offset)
         value_of: dict[str, float] = {}
         for names, values in zip((MATRIX_NAMES, OFFSET_NAMES, G_NAMES, MOVING_NAMES, CODE_NAMES), parts, strict=True):
-            value_of |= (
-                dict.fromkeys(names, 0.0) if values is None else dict(zip(names, values.ravel().tolist(), strict=True))
-            )
-        return np.array([value_of[name] for name in self.parameters])
+            if values is not None:
+                value_of |= dict(zip(names, values.ravel().tolist(), strict=True))
+        return np.array([value_of.get(name, 0.0) for name in self.parameters])
 
     @property
     def offset_covariance(self) -> FloatArray:

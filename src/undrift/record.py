@@ -184,15 +184,7 @@ class Record(Shown):
         return record
 
     def to_frame(self) -> "pd.DataFrame":
-        """Return the record as a pandas DataFrame with undrift's own column names. ``from_frame`` reads it back.
-
-        Examples
-        --------
-        >>> import numpy as np, undrift
-        >>> record = undrift.Record.from_arrays(gyro=np.zeros((2, 3)), gyro_unit="dps", sample_rate_hz=10.0)
-        >>> list(record.to_frame())
-        ['time_s', 'gyro_x_dps', 'gyro_y_dps', 'gyro_z_dps']
-        """
+        """Return the record as a pandas DataFrame with undrift's own column names. ``from_frame`` reads it back."""
         frame: pd.DataFrame = at("undrift.io.dataframes:frame_of")(self)
         return frame
 

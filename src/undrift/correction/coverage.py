@@ -140,13 +140,11 @@ def coverage_findings(reach: Reach, calibration: Calibration) -> tuple[Finding, 
         findings.append(finding("correct.no_temperature", "warn", seconds=reach.seconds_without_temperature))
     if (seconds := reach.seconds_outside) > 0.0:
         low, high, lag_s = *reach.temp_c, drift.lag_s if drift else 0.0
-        what = f"{seconds:.1f} s outside the drift table"
         numbers = f"{low:.1f} to {high:.1f} degC were recorded (thermometer lag subtracted: {lag_s:g} s)"
-        findings.append(finding("correct.outside", "warn", what=what, numbers=numbers, seconds=seconds))
+        findings.append(_outside(f"{seconds:.1f} s outside the drift table", numbers, seconds=seconds))
     if (seconds := reach.seconds_extrapolated) > 0.0:
-        what = f"{seconds:.1f} s with an extrapolated drift table"
         numbers = "no data were recorded near these temperatures and rates"
-        findings.append(finding("correct.outside", "warn", what=what, numbers=numbers, seconds=seconds))
+        findings.append(_outside(f"{seconds:.1f} s with an extrapolated drift table", numbers, seconds=seconds))
     if (departure := reach.departure_c) > REFERENCE_SPAN_C:
         values = {"reference_c": calibration.reference_temp_c, "span_c": REFERENCE_SPAN_C}
         findings.append(finding("correct.departure", "warn", departure_c=departure, **values))
@@ -155,11 +153,13 @@ def coverage_findings(reach: Reach, calibration: Calibration) -> tuple[Finding, 
         least, greatest, first, last = np.degrees((*reach.turn_rate, rates[0], rates[-1]))
         numbers = f"{told_apart(least, '.1f', first)} to {told_apart(greatest, '.1f', last)} deg/s were recorded. The table covers "
         numbers += f"{told_apart(first, '.1f', least)} to {told_apart(last, '.1f', greatest)} deg/s, and its end values were used"
-        what = "Turn rate outside the dynamic drift table"
-        findings.append(
-            finding("correct.outside", "warn", what=what, numbers=numbers, least_dps=least, greatest_dps=greatest)
-        )
+        spans = {"least_dps": least, "greatest_dps": greatest}
+        findings.append(_outside("Turn rate outside the dynamic drift table", numbers, **spans))
     return tuple(findings)
+
+
+def _outside(what: str, numbers: str, **values: float) -> Finding:
+    return finding("correct.outside", "warn", what=what, numbers=numbers, **values)
 
 
 def model_findings(record: Record, calibration: Calibration, carry: Carry) -> tuple[Finding, ...]:
