@@ -256,26 +256,6 @@ def test_mode_paper_is_refused_for_free_poses():
         calibrate(made("multi_position"), mode="paper")
 
 
-def test_pauses_shorter_than_the_usual_window_are_found():
-    rng = np.random.default_rng(26)
-    n, gyro, accel = 100, [], []
-    for k in range(12):
-        up = rng.standard_normal(3)
-        held = 400 if k == 0 else 100
-        gyro += [np.zeros((held, 3)), 2.0 * rng.standard_normal((n, 3))]
-        accel += [np.tile(9.81 * up / np.linalg.norm(up), (held, 1)), 9.81 + 3.0 * rng.standard_normal((n, 3))]
-    gyro, accel = np.vstack(gyro), np.vstack(accel)
-    record = Record(
-        time=np.arange(len(gyro)) / 100.0,
-        gyro=gyro + 0.001 * rng.standard_normal(gyro.shape),
-        accel=accel + 0.01 * rng.standard_normal(accel.shape),
-    )
-    session = Session(kind="calibration", serial="", gravity_m_s2=9.81, records=(record,))
-    seen = observe(session, CalibrateSettings())
-    assert len(seen.stills) == 12
-    assert seen.findings == ()
-
-
 @pytest.mark.parametrize("latitude_deg", [float("nan"), 91.0])
 def test_a_latitude_that_is_none_is_refused(latitude_deg):
     with pytest.raises(InputError, match="latitude_deg"):
