@@ -487,7 +487,7 @@ def calibrate_from_motion(
     >>> rng = np.random.default_rng(7)
     >>> device = undrift.random_device(rng, grade="wearable")
     >>> record = undrift.simulate_trial("free", device, rng=rng).record
-    >>> calibration = undrift.calibrate_from_motion([record], gravity_m_s2=9.80665)
+    >>> calibration = undrift.calibrate_from_motion([record], gravity_m_s2=9.81)
     >>> calibration.gyro.unit_in, calibration.gyro.method
     ('dps', 'motion')
     """
