@@ -92,7 +92,7 @@ def test_steady_turns_without_their_rates_are_counted_and_asked_for():
     found = calibrate(replace(session, stills=few))
     assert found.gyro is None
     steady = [f for f in found.verdict.findings if f.action.startswith("give turn_rate_dps")]
-    assert [f.values["why"] for f in steady] == ["102 steady turns have no rate"]
+    assert [f.action for f in steady] == ["give turn_rate_dps and axis for each of 102 steady turns"]
 
 
 def test_turns_between_found_faces_calibrate_gyroscopes_in_counts():

@@ -39,7 +39,7 @@ from undrift.findings import Finding, Level, finding
 from undrift.fit.priors import SCALE_FACTOR
 from undrift.fit.triad import TriadFit, triad_fit
 from undrift.kernels.attitude import filtered_attitude
-from undrift.model import AdcModel, Calibration, Magnetometer, Provenance, TriadModel, Verdict, versions_used
+from undrift.model import Calibration, Magnetometer, Provenance, TriadModel, Verdict, versions_used
 from undrift.record import FACES, Mounting, Record, Reference, Session, Turn
 from undrift.segments import unpadded
 from undrift.sync import LONGEST_LAG_S, padding
@@ -181,7 +181,7 @@ def calibrated(
     check_choice(mode, Mode | None, "calibrate", "mode")
     _check_raw(session.records)
     session, other_temperatures = at_one_temperature(session)
-    adc, observed = _observe_restored(session, settings)
+    observed = observe(session, settings)
     accel_outcome = _calibrate_accel(observed, accel, mode)
     gyro_outcome = _calibrate_gyro(observed, gyro, mode, accel_outcome.fit)
     findings = (*other_temperatures, *_doubts(observed, accel_outcome, gyro_outcome))
@@ -195,7 +195,7 @@ def calibrated(
         raise NotObservable(f"calibrate: no pose or turn can be used for a fit: {reasons}")
     choices = _choices(observed, accel_outcome.method, gyro_outcome.method, mode)
     return _build_calibration(
-        session, choices, observed.mean_temperature(), adc=adc, verdict=verdict, **models
+        session, choices, observed.mean_temperature(), adc=observed.adc, verdict=verdict, **models
     ), observed
 
 
@@ -234,18 +234,12 @@ def _doubts(observed: Observed, accel: Outcome, gyro: Outcome) -> Iterator[Findi
     yield from observed.findings
 
 
-def _observe_restored(session: Session, settings: CalibrateSettings) -> tuple[AdcModel | None, Observed]:
-    """Return the converter's rounding, and the rests and turns of the session after its correction."""
-    adc = device_adc(session.records) if settings.identify_adc else None
-    return adc, observe(replace(session, records=tuple(restored(r, adc) for r in session.records)), settings)
-
-
 def find_pieces(session: Session, settings: CalibrateSettings) -> tuple[Session, tuple[Turn, ...]]:
     """Return a session with the rests and turns detected in it, and its steady turns, whose rate only the rig knows.
 
     Rests get a face label if the accelerometers would be calibrated on faces.
     """
-    observed = _observe_restored(session, settings)[1]
+    observed = observe(session, settings)
     stills = observed.stills if observed.mostly_faces else tuple(replace(still, face=None) for still in observed.stills)
     turns = observed.session.turns
     return replace(session, stills=stills, turns=turns), () if turns else observed.plateaus()

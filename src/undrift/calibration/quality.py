@@ -128,10 +128,11 @@ def _rates(session: Session, stills: tuple[Still, ...]) -> Iterator[Fault]:
 
 def check_counted_once(session: Session) -> None:
     """Raise if readings would count twice because a recording is repeated."""
-    triads = [[values for values in (record.gyro, record.accel) if values is not None] for record in session.records]
-    for first, second in combinations(range(len(triads)), 2):
-        pairs = list(zip(triads[first], triads[second], strict=False))
-        if len(triads[first]) == len(triads[second]) and all(np.array_equal(*pair, equal_nan=True) for pair in pairs):
+    for (first, one), (second, other) in combinations(enumerate(session.records), 2):
+        pairs = ((one.gyro, other.gyro), (one.accel, other.accel))
+        if len(one) == len(other) and all(
+            x is None or (y is not None and np.array_equal(x, y, equal_nan=True)) for x, y in pairs
+        ):
             raise InputError(
                 f"recording {second}: it contains the readings of recording {first} again. Remove one of the two."
             )

@@ -14,7 +14,7 @@ import numpy as np
 
 from undrift import segments
 from undrift.arrays import FloatArray
-from undrift.calibration.codes import code_steps, code_variance
+from undrift.calibration.codes import code_steps, code_variance, device_adc, restored
 from undrift.calibration.plausibility import SCALE_TOLERANCE
 from undrift.calibration.quality import (
     CUT_OFF_SHARE,
@@ -34,6 +34,7 @@ from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.gls import block_size, noise_of_means, solve
 from undrift.fit.triad import TriadFit
+from undrift.model import AdcModel
 from undrift.record import FACES, Record, Session, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
@@ -139,6 +140,7 @@ class Observed:
     found: bool  # True if they were found
     findings: tuple[Finding, ...] = ()
     searches: tuple[segments.StillSearch, ...] = ()  # one for each recording if they were found
+    adc: AdcModel | None = None  # rounding of the converter, which was corrected
 
     @property
     def faced(self) -> tuple[Still, ...]:
@@ -267,11 +269,13 @@ def look(session: Session, settings: CalibrateSettings) -> Observed:
 
 
 def observe(session: Session, settings: CalibrateSettings) -> Observed:
-    """Return a session with its stills and turns, as given or detected. Raise if they fail the checks."""
+    """Return a session without truncation, with its stills and turns, as given or detected. Raise if they fail the checks."""
     check_alike(session)
     check_counted_once(session)
     for record in session.records:
         check_force(record)
+    adc = device_adc(session.records) if settings.identify_adc else None
+    session = replace(session, records=tuple(restored(record, adc) for record in session.records))
     observed = look(session, settings)
     findings = [
         finding("session.no_still", "warn", recording=number, reason=search.reason)
@@ -280,7 +284,7 @@ def observe(session: Session, settings: CalibrateSettings) -> Observed:
     ]
     findings += check_stills(session, observed.stills, listed=not observed.found)
     findings += check_turns(session, observed.stills, settings.settle_s)
-    return replace(observed, findings=tuple(findings)).with_turns()
+    return replace(observed, findings=tuple(findings), adc=adc).with_turns()
 
 
 def check_alike(session: Session) -> None:
