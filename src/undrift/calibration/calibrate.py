@@ -531,14 +531,14 @@ def from_motion(session: Session, *, magnetometer: bool = False) -> tuple[Calibr
 
 def _fit_field(records: Sequence[Record], rates: Sequence[FloatArray], fit: InMotion) -> tuple[Magnetometer, Verdict]:
     """Fit the magnetometer with the recordings that have one. Gyroscopes and gravity determine the attitude."""
-    readings: list[FieldReadings | None] = [None] * len(records)
+    readings = dict[int, FieldReadings]()
     for number, (record, rate) in enumerate(zip(records, rates, strict=True)):
         if record.mag_ut is not None:
             force = (np.asarray(record.accel) - fit.accel.model.offset) @ fit.accel.model.matrix.T
             offset_sigma = float(fit.offset_uncertainty[number].max())
             attitude, _ = filtered_attitude(record.time, rate, force, offset_sigma=offset_sigma)
             readings[number] = (record.time, record.mag_ut, attitude)
-    if not any(readings):
+    if not readings:
         raise InputError(
             "magnetometer: no recording has magnetometer readings. Map their columns (mag), or omit the option."
         )

@@ -15,7 +15,7 @@ Errors e, turned to level, are white noise and the disturbance of the room, whic
 turned. Restricted likelihood determines the sizes of both, and of G p. Stretches with another size or inclination are omitted.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import groupby, pairwise, permutations, product
 from typing import TypeAlias
@@ -139,14 +139,14 @@ class _FieldStretch:
         return solved(self.sizes)[1:]
 
 
-def fit_magnetometer(readings: Sequence[FieldReadings | None]) -> tuple[Magnetometer, Verdict]:
+def fit_magnetometer(readings: Mapping[int, FieldReadings]) -> tuple[Magnetometer, Verdict]:
     """Fit the magnetometer of a device to recordings in motion, and return it with its verdict.
 
-    Each recording gives time (N,), s, readings (N, 3), uT, with NaN for gaps, and orientation (N, 4) from case to level, z up, with
-    any heading, or None without a magnetometer. Raise InputError for short recordings, NotObservable if the device is not turned.
+    ``readings`` contains for the number of each recording: time (N,), s, readings (N, 3), uT, with NaN for gaps, and orientation
+    (N, 4) from case to level, z up, with any heading. Raise InputError for short recordings, NotObservable if the device is not
+    turned.
     """
-    numbered = [(number, reading) for number, reading in enumerate(readings) if reading is not None]
-    stretches = [stretch for number, reading in numbered for stretch in _cut(number, *reading)]
+    stretches = [stretch for number, reading in readings.items() for stretch in _cut(number, *reading)]
     usual, k, b = _start(stretches)
     size = float(np.exp(np.mean([stretch.local[0] for stretch in stretches])))
     lag, spread = 0.0, np.repeat((SOFT_IRON, HARD_IRON * size, LAG_S), (9, 3, 1))
@@ -172,10 +172,8 @@ def fit_magnetometer(readings: Sequence[FieldReadings | None]) -> tuple[Magnetom
             between = np.repeat((BETWEEN, BETWEEN * np.exp(stretch.local[0])), (9, 3))
             share = shared[:, :12] @ np.linalg.inv(shared[:12, :12] + np.diag(between**-2))
             right_part = right_part[:SHARED] - coupling.T @ inverse @ right_part[SHARED:]
-            information, right = (
-                information + shared - share @ shared[:12],
-                right + right_part - share @ right_part[:12],
-            )
+            information = information + shared - share @ shared[:12]
+            right = right + right_part - share @ right_part[:12]
         covariance = np.linalg.inv(information)
         step = covariance @ right
         k, b, lag = k + step[:9].reshape(3, 3), b + step[9:12], lag + float(step[12])
@@ -201,16 +199,12 @@ def fit_magnetometer(readings: Sequence[FieldReadings | None]) -> tuple[Magnetom
 def _cut(number: int, time: FloatArray, mag: FloatArray, q_nb: FloatArray) -> Iterator[_FieldStretch]:
     """Yield the means over blocks of each stretch of a recording."""
     finite = np.isfinite(mag).all(axis=1) & np.isfinite(q_nb).all(axis=1)
-    time, mag, level = (
-        time[finite],
-        mag[finite],
-        rotation(q_nb[finite]).as_matrix() if finite.any() else np.zeros((0, 3, 3)),
-    )
-    length_s = float(time[-1] - time[0]) if len(time) else 0.0
+    length_s = float(np.ptp(time[finite])) if finite.any() else 0.0
     if length_s < LEAST_S:
         raise InputError(
             f"magnetometer, recording {number + 1}: readings over {LEAST_S:g} s or more are needed, got {length_s:.3g} s."
         )
+    time, mag, level = time[finite], mag[finite], rotation(q_nb[finite]).as_matrix()
     edges = np.linspace(time[0], time[-1], max(1, round(length_s / STRETCH_S)) + 1)
     edges[-1] += 1.0
     for begin, end in pairwise(np.searchsorted(time, edges)):

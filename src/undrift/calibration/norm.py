@@ -25,7 +25,7 @@ If C + m m' is larger than s_q^2, it replaces s_q^2 (expectation maximisation).
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -35,8 +35,8 @@ from undrift.calibration.sources import Creep
 from undrift.errors import NotObservable, PoorFit
 from undrift.findings import Finding, above, finding
 from undrift.fit.gls import GlsFit, Prior, carried, solve
-from undrift.fit.triad import TriadFit, parameter_names, scaled_condition, triad_fit
-from undrift.model import AXES, Budget, Verdict
+from undrift.fit.triad import TriadFit, TriadParameters, fit_of, parameter_names, scaled_condition
+from undrift.model import AXES, Verdict
 from undrift.segments import sphere_of
 from undrift.units import STANDARD_GRAVITY, canonical_unit, is_physical, si_factor
 
@@ -134,17 +134,10 @@ def fit_norm(
         step = np.abs((fit.theta - p) / size).max()
         p = fit.theta
         if step < CONVERGED:
-            budget = {**fit.budget, "nonlinearity": _quadratic_share(v, p, design, fit, quadratic_sd)}
             return NormFit(
-                center=center,
-                scale=scale,
-                p=p,
-                budget=budget,
-                residuals=_linearised(v, p, gravity)[1],
-                condition=condition,
-                gravity=gravity,
-                prior_sd=prior_sd,
-            )
+                center=center, scale=scale, p=p, residuals=_linearised(v, p, gravity)[1], condition=condition, gravity=gravity,
+                budget={**fit.budget, "nonlinearity": _quadratic_share(v, p, design, fit, quadratic_sd)}, prior_sd=prior_sd,
+            )  # fmt: skip
         if not np.abs(p / size).max() < FARTHEST:
             break
     raise PoorFit(
@@ -239,23 +232,15 @@ def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
     corrected = (reading - fit.offset) @ fit.matrix.T
     carry = np.zeros((12, 9))  # d (m_xx .. m_zz, offset) / d p
     carry[SEEN, np.arange(9)] = [fit.scale] * 6 + [1.0 / fit.scale] * 3
-    covariance = carried(carry, fit.covariance)
-    triad = triad_fit(
-        fit.residuals,
-        Verdict.of(*_judged(fit, corrected)),
-        method="multi-position",
-        unit_in=unit,
-        unit_out="m/s2",
-        matrix=fit.matrix,
-        offset=fit.offset,
-        covariance=covariance,
-        budget=Budget.of(covariance, {n: np.diag(carried(carry, share)) for n, share in fit.budget.items()}, "noise"),
-        rank=9 - len(fit.kept),
-        condition=fit.condition,
-        valid_range=(float(corrected.min()), float(corrected.max())),
+    parameters = TriadParameters(
+        theta=np.append(fit.matrix, fit.offset),
+        covariance=carried(carry, fit.covariance),
+        parts={name: carried(carry, share) for name, share in fit.budget.items()},
     )
+    names = {"method": "multi-position", "unit_in": unit, "unit_out": "m/s2"}
+    triad = fit_of(parameters, corrected, fit.residuals, Verdict.of(*_judged(fit, corrected)), **names)
     check_own_scale(triad.model.scale_factor, unit, "accel", TOLERANCE, "accel")
-    return triad
+    return replace(triad, model=replace(triad.model, rank=9 - len(fit.kept), condition=fit.condition))
 
 
 def _judged(fit: NormFit, corrected: FloatArray) -> Iterator[Finding]:
