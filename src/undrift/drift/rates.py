@@ -3,12 +3,13 @@
 Offsets of the static table are subtracted first. A mounting is a part of a soak in which the device turned about one direction of
 its case. In a soak each sensor i reads ::
 
-    u_i - offset_i(T) = sum_j K_ij w_j + d_im + noise        axes j of the turns, mounting m
+    u_i - offset_i(T) = sum_j K_ij w_j + d_im + noise        axes j, mounting m
 
-d is the offset error of the table (hysteresis, warm-up, g-sensitivity). Each mounting determines it, because it has two rates or
-more: a mounting with a single rate is left out. An axis that no soak turned keeps its column of K from the calibration, without an
-uncertainty. Each K_ij(T) gets a smooth curve (fit/curve.py), and ``M(T) = K(T)^-1`` with dM = -M dK M. K is the best straight line
-over the imposed rates. The dynamic table contains the curvature.
+Turns are about the axes of the case, and each determines the column of K of its axis. d is the offset error of the table
+(hysteresis, warm-up, g-sensitivity). Each mounting determines it, because it has two rates or more: a single rate is left out. An
+axis that no soak turned keeps its column of K from the calibration, without an uncertainty. Each K_ij(T) gets a smooth curve
+(fit/curve.py), and ``M(T) = K(T)^-1`` with dM = -M dK M. K is the best straight line over the imposed rates. The dynamic table
+contains the curvature.
 
 Dynamic drift is the rate error that remains, per axis, as a table over measured rate and temperature: ``e(w, T) = w - true rate``
 with the measured rate w about the axis itself, so that the lookup needs no inversion. A smooth surface with e(0, T) = 0, a tensor
@@ -44,8 +45,8 @@ from undrift.units import si_factor
 STEP_C = 5.0  # between the nodes of the dynamic table
 # a node between soaks and further from both is extrapolated: matrices change more evenly than offsets
 MATRIX_GAP_C = 10.0
+MAINLY = 0.9  # least share of a turning rate that is about an axis of the case
 SAME_RATE = 0.01  # relative to the largest rate: closer rates are equal
-MAINLY = 0.5  # share of the turning rate from which a row counts for an axis
 NEAR_RATE = 0.02  # relative to the largest rate: a node this far beyond the measured rates is not extrapolated
 LOOSE = 1e2  # prior variance of d, in units of the residuals' mean square: it is free
 SOFTNESS = (1e-2, 1e-1, 1.0, 1e1, 1e2)  # s_w and s_T, relative to the spans and the residuals, from stiff to soft
@@ -122,6 +123,7 @@ def prepared(steps: RateSteps, calibration: Calibration, *, static: StaticDrift 
     mounting, turn_rate = _number_groups(soak, axis), usable.rate_b[np.arange(len(axis)), axis]
     spans = np.array([np.ptp(turn_rate[mounting == m]) for m in range(mounting.max() + 1)])
     rows = spans[mounting] > SAME_RATE * np.abs(turn_rate).max()
+    rows &= np.abs(turn_rate) > MAINLY * np.linalg.norm(usable.rate_b, axis=1)
     if not rows.any():
         raise NotObservable(
             "rate steps: no axis turned at two rates in a soak. Turn about each axis in both directions."
@@ -129,7 +131,7 @@ def prepared(steps: RateSteps, calibration: Calibration, *, static: StaticDrift 
     lost = int((~finite).sum() + (~rows).sum())
     left_out, why = (
         f"{lost} of {len(steps)} rate steps",
-        "gaps in rate, reading or temperature, or a single rate in a soak",
+        "gaps in rate, reading or temperature, a single rate in a soak, or an axis between those of the case",
     )
     return Steps(
         soak=soak,
@@ -221,28 +223,21 @@ def _axis_not_turned(what: str) -> Finding:
 
 
 def soak_matrices(steps: Steps, calibration: Calibration) -> SoakMatrices:
-    """Fit the forward matrix at each soak."""
+    """Fit the forward matrix at each soak: column j to the turns about axis j, each mounting with its own offset."""
     numbers = np.unique(steps.soak)
     temp_c = np.array([steps.temp_c[steps.soak == s].mean() for s in numbers])
     constant, forward, variance = _forward(gyro_model(calibration)), *np.full((2, len(numbers), 3, 3), np.nan)
-    order = np.argsort(temp_c, kind="stable")
-    for k, s in enumerate(numbers[order]):
-        rows = steps.soak == s
-        rate, size = steps.rate_b[rows], np.linalg.norm(steps.rate_b[rows], axis=1, keepdims=True)
-        turn_axes = (np.abs(rate) > MAINLY * size).any(axis=0)
-        reading = steps.reading[rows] - rate[:, ~turn_axes] @ constant[:, ~turn_axes].T
-        own_offset = steps.mounting[rows][:, None] == np.unique(steps.mounting[rows])
-        design = np.column_stack((rate[:, turn_axes] / size.max(), own_offset))
-        if np.linalg.matrix_rank(design, tol=1e-3) < design.shape[1]:
-            raise NotObservable(
-                f"scale over temperature: {rows.sum()} turns at {temp_c[order[k]]:.1f} degC do not separate the axes. Turn about "
-                "each axis at two rates or more."
-            )
+    for m in np.unique(steps.mounting):
+        rows = np.flatnonzero(steps.mounting == m)
+        j, k = steps.axis[rows[0]], np.searchsorted(numbers, steps.soak[rows[0]])
+        rate, beside = steps.rate_b[rows, j], steps.rate_b[rows] * (np.arange(3) != j)
+        reading, size = steps.reading[rows] - beside @ constant.T, np.abs(rate).max()
+        design = np.column_stack((rate / size, np.ones(len(rows))))
         for i in range(3):
             theta, covariance = _weigh(design, reading[:, i], steps.variance[rows, i])
-            forward[k, i, turn_axes] = theta[: turn_axes.sum()] / size.max()
-            variance[k, i, turn_axes] = np.diag(covariance)[: turn_axes.sum()] / size.max() ** 2
-    return SoakMatrices(temp_c=temp_c[order], forward=forward, variance=variance)
+            forward[k, i, j], variance[k, i, j] = theta[0] / size, covariance[0, 0] / size**2
+    order = np.argsort(temp_c, kind="stable")
+    return SoakMatrices(temp_c=temp_c[order], forward=forward[order], variance=variance[order])
 
 
 def _forward(model: TriadModel) -> FloatArray:
