@@ -15,13 +15,16 @@ The sources of error are noise of the mean readings, drift with temperature, and
 moved. Poses on the faces do not determine cross-axis terms, so each term has a prior, 0 +- sd.
 
 A real sensor adds q y^2 to its reading, where y is the force along its axis and q ~ N(0, s_q^2). The term is a source of
-uncertainty. It is not estimated, because a prior for it costs accuracy on a linear sensor. N are the changes of length by q, G the
-gains of the fit and V the covariance of the lengths. The parameters cannot absorb L = N - X G N. The share of q in the covariance
-is the mean square of G N q for the residuals r:
+uncertainty. It is not estimated, because a prior for it costs accuracy on a linear sensor. N are the changes of length by q, and G
+the gains of the fit. The parameters cannot absorb L = N - X G N, and the residuals r show q with a mean m and a covariance C::
 
-    G N (C + m m') N' G'   C = (L' V^-1 L + I / s_q^2)^-1,   m = C L' V^-1 r
+    C = (L' V^-1 L + I / s_q^2)^-1,   m = C L' V^-1 r
 
-If C + m m' is larger than s_q^2, it replaces s_q^2 (expectation maximisation).
+V is the covariance of noise, temperature and excess, found beside q so that nothing is counted twice. If the residuals show more
+than s_q^2, that replaces it. So p is wrong by b = G N m, with a variance s^2 that contains G N C N' G'. The interval that holds for
+95 % of such errors is |b| + 1.645 s, or 1.96 u with::
+
+    u = (|b| + 1.645 s) / 1.96            u^2 = s^2 + b^2 for b below s
 """
 
 from collections.abc import Iterator, Mapping
@@ -34,7 +37,7 @@ from undrift.calibration.plausibility import check_gravity, check_own_scale
 from undrift.calibration.sources import Creep
 from undrift.errors import NotObservable, PoorFit
 from undrift.findings import Finding, above, finding
-from undrift.fit.gls import GlsFit, Prior, carried, solve
+from undrift.fit.gls import NORMAL_95, GlsFit, Prior, carried, solve
 from undrift.fit.triad import TriadFit, TriadParameters, fit_of, parameter_names, scaled_condition
 from undrift.model import AXES, Verdict
 from undrift.segments import sphere_of
@@ -50,12 +53,13 @@ KEPT = 0.3  # share of the prior deviation above which the poses did not determi
 QUADRATIC_SD = 2e-4  # s_q, 1/(m/s2): MPU-6050, ICM-20948 and BMI160 state 0.5 % of the range, 2.5e-4 for 2 g
 # descent: steps, relative step at convergence, parameters that diverge
 MOST_STEPS, CONVERGED, FARTHEST = 100, 1e-8, 30.0
-SIZE_ROUNDS = 20  # iterations for the size of quadratic terms
+ONE_SIDED_95 = 1.6448536269514722  # normal quantile
 ROUNDING = 1e-9  # smallest deviation of a length, relative to gravity
 TOLERANCE = 0.25  # relative to the nominal sensitivity of the unit (raw parts are within 0.2)
 MG = STANDARD_GRAVITY * 1e-3
 RESIDUAL_MG = (3.0, 20.0)  # limits of a verdict: marginal above the first, bad above the second
 UNCERTAIN_MG = (2.0, 20.0)
+QUADRATIC_TIMES = (2.0, np.inf)  # times s_q
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -70,6 +74,7 @@ class NormFit:
     condition: float  # condition number of the design, columns scaled to one
     gravity: float  # m/s2
     prior_sd: float | None  # standard deviation of each cross-axis term before the fit, 1
+    quadratic_times: float  # size of the quadratic terms that the residuals show, in s_q
 
     @property
     def covariance(self) -> FloatArray:
@@ -134,10 +139,18 @@ def fit_norm(
         step = np.abs((fit.theta - p) / size).max()
         p = fit.theta
         if step < CONVERGED:
+            budget, quadratic_times = _budget(v, p, design, sources, fit, prior, quadratic_sd)
             return NormFit(
-                center=center, scale=scale, p=p, residuals=_linearised(v, p, gravity)[1], condition=condition, gravity=gravity,
-                budget={**fit.budget, "nonlinearity": _quadratic_share(v, p, design, fit, quadratic_sd)}, prior_sd=prior_sd,
-            )  # fmt: skip
+                center=center,
+                scale=scale,
+                p=p,
+                budget=budget,
+                residuals=_linearised(v, p, gravity)[1],
+                condition=condition,
+                gravity=gravity,
+                prior_sd=prior_sd,
+                quadratic_times=quadratic_times,
+            )
         if not np.abs(p / size).max() < FARTHEST:
             break
     raise PoorFit(
@@ -159,19 +172,35 @@ def _sources(
     return sources
 
 
-def _quadratic_share(v: FloatArray, p: FloatArray, design: FloatArray, fit: GlsFit, sd: float) -> FloatArray:
-    """Return the contribution of quadratic terms to the covariance (9, 9) of p."""
+def _budget(
+    v: FloatArray,
+    p: FloatArray,
+    design: FloatArray,
+    sources: Mapping[str, FloatArray],
+    fit: GlsFit,
+    prior: Prior,
+    sd: float,
+) -> tuple[dict[str, FloatArray], float]:
+    """Return the covariance (9, 9) of p by source, and the size of the quadratic terms, in ``sd``, their standard deviation."""
     gain = np.linalg.norm(np.linalg.inv(_upper(p)), axis=1)  # per sensor: v - o' = gain y
     lengths = -sd * design[:, 6:] * (v - p[6:]) ** 2 / gain  # (K, 3): N s_q
+    bent = {"nonlinearity": lengths @ lengths.T}
+    errors = solve(
+        design, fit.residuals, {**sources, **bent}, excess={"repeatability": np.ones(len(v)), **bent}, prior=prior
+    )
+    rows = {name: covariance for name, covariance in errors.sources.items() if name != "nonlinearity"}
     absorbed = fit.gains @ lengths
     bows = lengths - design @ absorbed
-    weighted = np.linalg.solve(np.sum([*fit.sources.values()], axis=0), bows)
-    size = 1.0
-    for _ in range(SIZE_ROUNDS):  # the residuals may require larger terms than s_q
-        uncertain = np.linalg.inv(bows.T @ weighted + np.eye(3) / size**2)
-        mean = uncertain @ (weighted.T @ fit.residuals)
-        size = max(1.0, float(np.sqrt(np.mean(mean**2 + np.diag(uncertain)))))
-    return carried(absorbed, uncertain + np.outer(mean, mean))
+    weighted = np.linalg.solve(np.sum([*rows.values()], axis=0), bows)
+    square = 1.0 + errors.excess["nonlinearity"]
+    uncertain = np.linalg.inv(bows.T @ weighted + np.eye(3) / square)
+    budget = {name: carried(fit.gains, covariance) for name, covariance in rows.items()}
+    budget["prior"] = fit.budget["prior"]
+    spread, bias = carried(absorbed, uncertain), absorbed @ uncertain @ (weighted.T @ fit.residuals)
+    variance = np.diag(np.sum([*budget.values(), spread], axis=0))
+    needed = ((np.abs(bias) + ONE_SIDED_95 * np.sqrt(variance)) / NORMAL_95) ** 2 - variance
+    known = np.sign(bias) * np.sqrt(np.clip(needed, 0.0, bias**2))
+    return {**budget, "nonlinearity": spread + np.outer(known, known)}, float(np.sqrt(square))
 
 
 def _check_determined(v: FloatArray, p: FloatArray, gravity: float, *, with_prior: bool) -> float:
@@ -246,6 +275,7 @@ def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
 def _judged(fit: NormFit, corrected: FloatArray) -> Iterator[Finding]:
     rms_mg, sigma = float(np.sqrt(np.mean(fit.residuals**2))) / MG, fit.uncertainty / MG
     yield from above("multi_position.residual", rms_mg, RESIDUAL_MG, rms=rms_mg, unit="mg", what="Poses")
+    yield from above("multi_position.nonlinear", fit.quadratic_times, QUADRATIC_TIMES, times=fit.quadratic_times)
     poses = "record more poses, and keep the device still for longer in each"
     yield from above("session.uncertain", sigma, UNCERTAIN_MG, size=sigma, unit="mg", what="Gravity", record=poses)
     if fit.prior_sd is not None and fit.kept:
