@@ -12,7 +12,7 @@ rest is far from zero and steady::
 
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -443,7 +443,6 @@ class TurnSearch:
 
     # stretches of constant rate (``axis`` is the sensor axis with the largest reading, ``turn_rate`` is not set)
     plateaus: tuple[Turn, ...]
-    plateau_rate: FloatArray  # (P, 3), mean reading of each plateau minus the offset at rest, gyro unit
     rotations: tuple[Turn, ...]  # motions between consecutive still phases (``angle`` is not set)
     rotation_angle: FloatArray  # (R, 3), integral of each reading minus the offset at rest, gyro unit times s
 
@@ -461,7 +460,7 @@ def find_turns(record: Record, stills: Sequence[Still]) -> TurnSearch:
     Returns
     -------
     TurnSearch
-        Plateaus and rotations with the readings of the gyroscope.
+        Plateaus and rotations, with the angle of each rotation.
 
     Raises
     ------
@@ -489,23 +488,18 @@ def find_turns(record: Record, stills: Sequence[Still]) -> TurnSearch:
     if stills:
         offset = np.nanmean(np.concatenate([record.gyro[s.start : s.stop] for s in stills]), axis=0)
     recording = stills[0].recording if stills else 0
-    plateaus = [
-        Turn(start=start, stop=stop, recording=recording)
-        for start, stop in _steady_stretches(mean - offset, spread, floor, stills, len(record), fs)
-    ]
-    rates = [np.nanmean(record.gyro[turn.start : turn.stop], axis=0) - offset for turn in plateaus]
-    rotations, angles = list[Turn](), list[FloatArray]()
+    plateaus, rotations, angles = list[Turn](), list[Turn](), list[FloatArray]()
+    for start, stop in _steady_stretches(mean - offset, spread, floor, stills, len(record), fs):
+        axis = _axis(np.nanmean(record.gyro[start:stop], axis=0) - offset)
+        plateaus.append(Turn(start=start, stop=stop, recording=recording, axis=axis))
     for previous, following in itertools.pairwise(stills):
-        reading = record.gyro[previous.stop : following.start] - offset
+        move = slice(previous.stop, following.start)
+        reading = record.gyro[move] - offset
         if len(reading) and np.nanmax(np.linalg.norm(reading, axis=1)) > _LEAST_FLOORS * floor:
-            time = record.time[previous.stop : following.start]
-            angles.append(np.asarray(np.trapezoid(np.nan_to_num(reading), time, axis=0)))
-            rotations.append(Turn(start=previous.stop, stop=following.start, recording=recording))
+            angles.append(np.asarray(np.trapezoid(np.nan_to_num(reading), record.time[move], axis=0)))
+            rotations.append(Turn(start=move.start, stop=move.stop, recording=recording, axis=_axis(angles[-1], 0.9)))
     return TurnSearch(
-        plateaus=tuple(replace(turn, axis=_axis(rate)) for turn, rate in zip(plateaus, rates, strict=True)),
-        plateau_rate=np.array(rates).reshape(-1, 3),
-        rotations=tuple(replace(turn, axis=_axis(angle, 0.9)) for turn, angle in zip(rotations, angles, strict=True)),
-        rotation_angle=np.array(angles).reshape(-1, 3),
+        plateaus=tuple(plateaus), rotations=tuple(rotations), rotation_angle=np.array(angles).reshape(-1, 3)
     )
 
 

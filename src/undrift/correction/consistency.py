@@ -34,12 +34,8 @@ def check_corrected(
     from undrift.io.inspect import find_saturated
 
     has_both = calibration.gyro is not None and calibration.accel is not None  # otherwise they have different frames
-    record_findings = (*find_saturated(raw), *padding(raw, unpadded(raw)))
-    return (
-        *record_findings,
-        *(check_agreement(record) if has_both else ()),
-        *check_device(record, calibration, stills),
-    )
+    agreement = check_agreement(record) if has_both else ()
+    return (*find_saturated(raw), *padding(raw, unpadded(raw)), *agreement, *check_device(record, calibration, stills))
 
 
 def check_device(
@@ -77,12 +73,9 @@ def check_device(
     reversed_ = reversed_ and record.accel is not None and calibration.accel is not None and "gyro" not in doubtful
     if not doubtful and not reversed_:
         return ()
-    values = {
-        "left_mg": deviation["accel"] / STANDARD_GRAVITY * 1e3,
-        "usual_mg": expected["accel"] / STANDARD_GRAVITY * 1e3,
-    }
-    values |= {"left_dps": deviation["gyro"] / RADIAN_PER_DEGREE, "usual_dps": expected["gyro"] / RADIAN_PER_DEGREE}
-    values["rests"] = len(rests)
+    mg, dps = 1e-3 * STANDARD_GRAVITY, RADIAN_PER_DEGREE
+    values = {"left_mg": deviation["accel"] / mg, "usual_mg": expected["accel"] / mg, "rests": len(rests)}
+    values |= {"left_dps": deviation["gyro"] / dps, "usual_dps": expected["gyro"] / dps}
     return (finding("correct.accel_reversed" if reversed_ else "correct.other_device", "warn", **values),)
 
 

@@ -88,18 +88,13 @@ class RemainingOffset:
             ", ".join(f"{axis / RADIAN_PER_DEGREE:.{digits}g}" for axis in values)
             for values, digits in ((self.mean, 3), (self.deviation, 2))
         )
-        source = "from the motion" if self.rest_s is None else "at {:.1f} to {:.1f} s".format(*self.rest_s)
-        source += " and from the motion" if self.prior is not None and self.rest_s is not None else ""
-        numbers = (
-            f"{rate} deg/s {source}, which the calibration left, with a standard uncertainty of {uncertainty} deg/s"
-        )
+        numbers = f"{rate} deg/s, which the calibration left, with a standard uncertainty of {uncertainty} deg/s"
         offset_dps = self.mean / RADIAN_PER_DEGREE
         subtracted = finding("correct.offset_subtracted", "info", numbers=numbers, offset_dps=offset_dps)
         if self.rest_s is not None or self.prior is None or not (self.deviation > KEPT * self.prior).any():
             return (subtracted,)
-        near_prior = self.deviation > KEPT * self.prior
-        axes = ", ".join(axis for axis, hidden in zip("xyz", near_prior.tolist(), strict=True) if hidden)
-        size = float(self.prior[near_prior].max()) / RADIAN_PER_DEGREE
+        open_axes = np.flatnonzero(self.deviation > KEPT * self.prior)
+        axes, size = ", ".join("xyz"[k] for k in open_axes), float(self.prior[open_axes].max()) / RADIAN_PER_DEGREE
         return subtracted, finding("correct.motion_offset_kept", "warn", axes=axes, prior_dps=size)
 
 

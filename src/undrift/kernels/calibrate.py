@@ -43,16 +43,9 @@ def lead(temp: FloatArray, time: FloatArray, out: FloatArray, lag: float, smooth
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
 def rotations_between(
-    gyro: FloatArray,
-    time: FloatArray,
-    first: IntArray,
-    last: IntArray,
-    matrix: FloatArray,
-    offset: FloatArray,
-    drift: FloatArray,
-    rotation: FloatArray,
-    sums: FloatArray,
-) -> None:
+    gyro: FloatArray, time: FloatArray, first: IntArray, last: IntArray,
+    matrix: FloatArray, offset: FloatArray, drift: FloatArray, rotation: FloatArray, sums: FloatArray,
+) -> None:  # fmt: skip
     # Moves j: integrate w = M (u - o - drift_j), drift (3 J,) raw unit, from sample first[j] to last[j].
     # The rate of sample k applies to (k-1, k].
     # rotation (9 J,): R from the end body frame to the start body frame, row by row.

@@ -52,12 +52,7 @@ def matrix_of(
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
 def accumulate(
-    rate: FloatArray,
-    regressors: FloatArray,
-    time: FloatArray,
-    at: FloatArray,
-    q_out: FloatArray,
-    sum_out: FloatArray,
+    rate: FloatArray, regressors: FloatArray, time: FloatArray, at: FloatArray, q_out: FloatArray, sum_out: FloatArray
 ) -> None:
     # The rate of sample k applies to (t_(k-1), t_k]. The rotation at the middle of each step determines the sensitivity.
     n, points = time.size, at.size
@@ -159,15 +154,9 @@ def strapdown(gyro: FloatArray, time: FloatArray, q: FloatArray, out: FloatArray
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
 def carried_means(
-    rate: FloatArray,
-    force: FloatArray,
-    rate_regressors: FloatArray,
-    force_regressors: FloatArray,
-    time: FloatArray,
-    first: IntArray,
-    weight: FloatArray,
-    out: FloatArray,
-) -> None:
+    rate: FloatArray, force: FloatArray, rate_regressors: FloatArray, force_regressors: FloatArray,
+    time: FloatArray, first: IntArray, weight: FloatArray, out: FloatArray,
+) -> None:  # fmt: skip
     # Weighted sums over windows, in the frame of the first sample, R by strapdown from there: R f, the effect of a rate x_c e_b as
     # [a, b, c] of (the integral of R[:, b] x_c dt) x R f, and the effect of a force y_c e_b as R[a, b] y_c. Regressors as above.
     n = time.size
