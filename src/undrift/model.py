@@ -172,11 +172,6 @@ class TriadModel:
         return np.asarray(si_factor(self.unit_out, quantity) / self.scale_factor)
 
     @property
-    def sensor_axes(self) -> FloatArray:
-        """Unit vectors of the sensor axes in b, one per row, shape (3, 3): K = diag(scale_factor) @ sensor_axes."""
-        return np.asarray(self.forward_matrix / self.scale_factor[:, None])
-
-    @property
     def relative_uncertainty(self) -> float:
         """Largest standard uncertainty of an element of matrix @ K. 0.01 means one per cent of the gain."""
         return float((self.standard_uncertainty[:9].reshape(3, 3) @ np.abs(self.forward_matrix)).max())

@@ -15,10 +15,9 @@ Strapdown (frames.py) starts there. Angles of q_nb = (w, x, y, z)::
 
 The pitch has no singularity until the vertical leaves the sagittal plane, where it is a gap (NaN).
 
-Strapdown drifts by the uncertainty of the offset times the time since the rest. This uncertainty combines the largest remaining
-rate at a rest (or the calibration's uncertainty, if larger), the scatter of the mean, and the change from rest to motion. A filter
-(VQF [1]_) gets the inclination from the accelerometers and tracks the offset, with that uncertainty as the prior of its bias. Its
-heading is 0 at the rest (6D), or is relative to magnetic east with a magnetometer (9D).
+Strapdown drifts by the uncertainty of the offset times the time since the rest. A filter (VQF [1]_) gets the inclination from the
+accelerometers and tracks the offset, with that uncertainty as the prior of its bias. Its heading is 0 at the rest (6D), or is
+relative to magnetic east with a magnetometer (9D).
 
 .. [1] D. Laidig, T. Seel, "VQF: Highly accurate IMU orientation estimation with bias estimation and magnetic disturbance
    rejection", Information Fusion 91, 187-204, 2023, and the package ``vqf``.
@@ -418,8 +417,7 @@ def _check_rest(record: Record, still: Still) -> tuple[Finding, ...]:
     tilt = float(np.arctan2(np.linalg.norm(np.cross(first, last)), first @ last))
     if spread <= MOVING_RATE and tilt <= TURNED:
         return ()
-    how = f"its rates vary by {spread / RADIAN_PER_DEGREE:.3g} deg/s rms"
-    how = how if spread > MOVING_RATE else f"gravity turns by {tilt / RADIAN_PER_DEGREE:.2g} deg, a slow turn"
+    how = f"its rates vary by {spread / RADIAN_PER_DEGREE:.3g} deg/s rms, gravity turns by {tilt / RADIAN_PER_DEGREE:.2g} deg"
     span = {"start_s": float(record.time[still.start]), "stop_s": float(record.time[still.stop - 1])}
     return (finding("orient.rest_turns", "warn", how=how, **span),)
 

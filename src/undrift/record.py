@@ -228,11 +228,14 @@ class Record(Shown):
 
     def in_units(self, gyro_unit: str, accel_unit: str) -> "Record":
         """Return the record in other physical units. InputError if only one of the old and new unit is physical."""
-        gyro, gyro_unit = _convert_triad(self.gyro, self.gyro_unit, gyro_unit, "rate")
-        accel, accel_unit = _convert_triad(self.accel, self.accel_unit, accel_unit, "accel")
-        if gyro is self.gyro and accel is self.accel:
-            return self
-        return replace(self, gyro=gyro, accel=accel, gyro_unit=gyro_unit, accel_unit=accel_unit)
+        changes = dict[str, Any]()
+        triads: tuple[tuple[str, str, Quantity], ...] = (("gyro", gyro_unit, "rate"), ("accel", accel_unit, "accel"))
+        for name, unit, quantity in triads:
+            values, old, new = getattr(self, name), getattr(self, f"{name}_unit"), canonical_unit(unit, quantity)
+            if values is not None and old != new:
+                changes[name] = values * (si_factor(old, quantity) / si_factor(new, quantity))
+                changes[f"{name}_unit"] = new
+        return replace(self, **changes) if changes else self
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -342,15 +345,6 @@ def _choose_clock(counts: Sequence[int], time: ArrayLike | None, sample_rate_hz:
         got = "both" if time is not None else "neither" if sample_rate_hz is None else f"{sample_rate_hz:g} Hz"
         raise InputError(f"from_arrays: expected time in s or a sample_rate_hz above 0, got {got}. Give one of them.")
     return np.arange(max(counts)) / (sample_rate_hz or np.nan) if time is None else time
-
-
-def _convert_triad(
-    values: FloatArray | None, unit: str, wanted: str, quantity: Quantity
-) -> tuple[FloatArray | None, str]:
-    wanted = canonical_unit(wanted, quantity)
-    if unit == wanted or values is None:
-        return values, wanted
-    return values * (si_factor(unit, quantity) / si_factor(wanted, quantity)), wanted
 
 
 # ---- session

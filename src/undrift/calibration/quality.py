@@ -225,7 +225,7 @@ MIN_MISSES = 2  # stills that fail: one may be no rest
 
 def check_accel(session: Session, model: TriadModel, unused: Sequence[Still]) -> Iterator[Finding]:
     """Compare a fitted accelerometer with the axes of a case, and with gravity in the stills that it did not use."""
-    angles = np.arccos(np.clip(np.diag(model.sensor_axes), -1.0, 1.0)) / RADIAN_PER_DEGREE
+    angles = np.arccos(np.clip(np.diag(model.forward_matrix) / model.scale_factor, -1.0, 1.0)) / RADIAN_PER_DEGREE
     axis = int(np.argmax(angles))
     if angles[axis] > LARGEST_ANGLE_DEG:
         angle = told_apart(angles[axis], ".2g", LARGEST_ANGLE_DEG)

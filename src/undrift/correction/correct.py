@@ -17,9 +17,8 @@ A table replaces its constant. The two are never added. T is the temperature of 
 subtracted if the calibration has one. Beyond its ends a table keeps its end values. ``policy`` decides whether a temperature beyond
 the table is an error, uses the end value, or becomes a gap. Without a temperature the result is a gap under every policy.
 
-``_evaluate_triad`` contains steps 1 to 5. plan.py turns the calibration into the constants of the kernels, and coverage.py finds
-samples that the calibration does not cover. ``Corrector`` corrects a stream chunk by chunk. Only the lag of the thermometer and the
-search for turns use other samples. Both are causal, and pass their state to the next chunk.
+``_evaluate_triad`` contains steps 1 to 5. Only the lag of the thermometer and the search for turns use other samples. Both are
+causal, and pass their state to the next chunk of a stream.
 """
 
 import warnings

@@ -8,7 +8,7 @@ The mean rate at a rest, which the calibration left, is subtracted from the whol
 
 It removes the offset at that time for any cause (turn-on, ageing, hysteresis), and also any true slow turn. It removes no scale or
 rate-dependent error, and no offset that changes afterwards. The rest is the first still phase in the first half hour of the
-corrected readings, or a given stretch. This applies here, in orientation.py, in validation/trial.py and in a stream.
+corrected readings, or a given stretch.
 """
 
 import math
