@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from testkit.findings import only
 from testkit.poses import fit_multi_position
 from undrift.calibration.calibrate import calibrate
-from undrift.calibration.moves import cut_moves, fit_moves, gravity_directions
+from undrift.calibration.moves import Moves, fit_moves, gravity_directions
 from undrift.errors import Implausible, InputError, NotObservable, PoorFit
 from undrift.kernels.calibrate import rotations_between
 from undrift.record import Record, Still
@@ -196,7 +196,7 @@ def test_the_rotation_kernel_agrees_with_a_product_of_rotations_and_finite_diffe
 def test_derivatives_of_the_gravity_directions_agree_with_finite_differences() -> None:
     record = recorded()
     accel = fit_multi_position(record, gravity=G, gyro=False).accel.model
-    moves, _ = cut_moves((record,), MOTION.stills)
+    moves = Moves((record,), MOTION.stills)
     unit, jacobian, _ = gravity_directions(moves, accel)
     for k in range(12):
         h = np.zeros(12)

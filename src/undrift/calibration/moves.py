@@ -18,7 +18,6 @@ add an excess variance in rests, and another in moves.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -30,7 +29,7 @@ from undrift.calibration.plausibility import check_axis_order, check_own_scale, 
 from undrift.calibration.session import Observed, Outcome
 from undrift.calibration.sources import Creep, creep_of, flicker_of_means, steady_drift, walk_about_mean
 from undrift.errors import NotObservable, PoorFit
-from undrift.findings import Finding, above, finding
+from undrift.findings import above, finding
 from undrift.fit.gls import GlsFit, Prior, carried, solve
 from undrift.fit.priors import G_SENSITIVITY, GYRO_FLICKER, REST_DRIFT, UNCERTAIN_PERCENT
 from undrift.fit.triad import TriadFit, TriadParameters, fit_of, parameter_names
@@ -98,63 +97,43 @@ def still_moments(values: FloatArray, start: IntArray, stop: IntArray) -> tuple[
 # ---- moves between stills; direction of gravity in the stills
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Moves:
-    """Readings of all records in sequence, and the moves between their stills."""
+    """Readings of all records in sequence, and the moves between neighbouring stills of a record.
 
-    gyro: FloatArray  # (N, 3), raw units
-    accel: FloatArray  # (N, 3), raw units
-    time: FloatArray  # (N,), s, each record on its own clock
-    first: IntArray  # (J,), last sample of the still before the move
-    last: IntArray  # (J,), first sample of the still after it
-    before: IntArray  # (J,), number of the still before the move (the next still follows it)
-    start: IntArray  # (K,), samples [start, stop) of the stills
-    stop: IntArray
-
-    @property
-    def duration_s(self) -> FloatArray:
-        """Length of each move (J,), s."""
-        return np.asarray(self.time[self.last] - self.time[self.first])
-
-
-def cut_moves(records: Sequence[Record], stills: Sequence[Still]) -> tuple[Moves, tuple[Finding, ...]]:
-    """Return the moves between neighbouring stills of a record, without moves that contain gaps or saturated readings.
-
-    A finding names the moves in which a gyroscope sticks at the end of its range.
+    Moves that contain gaps or saturated readings are left out. A finding names the saturated moves.
     """
-    base = np.concatenate(([0], np.cumsum([len(r) for r in records])))
-    ordered = sorted(stills, key=lambda still: (still.recording, still.start))
-    begin = base[[still.recording for still in ordered]]
-    start, stop = (begin + np.array([getattr(still, end) for still in ordered], np.int64) for end in ("start", "stop"))
-    gyro = np.concatenate([np.asarray(r.gyro) for r in records])
-    accel = np.concatenate([np.asarray(r.accel) for r in records])
-    time = np.concatenate([r.time for r in records])
-    longest = 1.5 / np.array([r.sample_rate_hz for r in records])
-    broken = np.isnan(gyro).any(axis=1) | (np.diff(time, prepend=time[0]) > np.repeat(longest, np.diff(base)))
-    lost = np.concatenate(([0], np.cumsum(broken)))
-    before = np.flatnonzero((begin[:-1] == begin[1:]) & (lost[start[1:] + 1] == lost[stop[:-1]]))
-    first, last = stop[before] - 1, start[before + 1]
-    stuck = stuck_windows([gyro[a : b + 1] for a, b in zip(first, last, strict=True)])
-    saturated = tuple(
-        f"the move after still {before[k] + 1} ({time[first[k]]:.1f}-{time[last[k]]:.1f} s)"
-        for k in np.flatnonzero(stuck)
-    )
-    count = {"count": len(saturated), "of": len(before)}
-    findings = (finding("session.saturated", "warn", what="moves", pieces=saturated, **count),) if saturated else ()
-    first, last, before = first[~stuck], last[~stuck], before[~stuck]
-    return Moves(
-        gyro=gyro, accel=accel, time=time, first=first, last=last, before=before, start=start, stop=stop
-    ), findings
+
+    def __init__(self, records: Sequence[Record], stills: Sequence[Still]) -> None:
+        base = np.concatenate(([0], np.cumsum([len(r) for r in records])))
+        ordered = sorted(stills, key=lambda still: (still.recording, still.start))
+        begin = base[[still.recording for still in ordered]]
+        self.start = begin + np.array([still.start for still in ordered], np.int64)  # (K,), samples of the stills
+        self.stop = begin + np.array([still.stop for still in ordered], np.int64)
+        self.gyro = np.concatenate([np.asarray(r.gyro) for r in records])  # (N, 3), raw units
+        self.accel = np.concatenate([np.asarray(r.accel) for r in records])
+        self.time = time = np.concatenate([r.time for r in records])  # (N,), s, each record on its own clock
+        longest = 1.5 / np.array([r.sample_rate_hz for r in records])
+        gaps = np.diff(time, prepend=time[0]) > np.repeat(longest, np.diff(base))
+        lost = np.concatenate(([0], np.cumsum(gaps | np.isnan(self.gyro).any(axis=1))))
+        whole = lost[self.start[1:] + 1] == lost[self.stop[:-1]]
+        before = np.flatnonzero((begin[:-1] == begin[1:]) & whole)
+        first, last = self.stop[before] - 1, self.start[before + 1]
+        stuck = stuck_windows([self.gyro[a : b + 1] for a, b in zip(first, last, strict=True)])
+        names = tuple(
+            f"the move after still {before[k] + 1} ({time[first[k]]:.1f}-{time[last[k]]:.1f} s)"
+            for k in np.flatnonzero(stuck)
+        )
+        count = {"count": len(names), "of": len(before)}
+        self.saturated = (finding("session.saturated", "warn", what="moves", pieces=names, **count),) if names else ()
+        # (J,), number of the still before each move, its last sample, and the first sample of the still after the move
+        self.before, self.first, self.last = before[~stuck], first[~stuck], last[~stuck]
+        self.duration_s = time[self.last] - time[self.first]
 
 
-# Unit vectors (K, 3) along the specific force in each still, their derivative by the accelerometer's m_xx .. m_zz and offset
-# (K, 3, 12), and their covariance from the noise of the still itself (K, 3, 3).
-Directions = tuple[FloatArray, FloatArray, FloatArray]
+def gravity_directions(moves: Moves, accel: TriadModel) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the direction of gravity in each still (K, 3), its derivatives (K, 3, 12), and its covariance (K, 3, 3) by noise.
 
-
-def gravity_directions(moves: Moves, accel: TriadModel) -> Directions:
-    """Return the direction of gravity in each still with its derivatives and covariance.
-
+    The derivatives are those by the accelerometer's m_xx .. m_zz and offset.
     n = a / |a| with a = M (u - o) of the mean reading, so dn = (1 - n n^T) / |a| da with da = dM (u - o) - M do + M du.
     """
     mean, variance, count = still_moments(moves.accel, moves.start, moves.stop)
@@ -270,11 +249,11 @@ def fit_moves(
     creep: tuple[Creep, Creep] | None = None,
 ) -> TriadFit:
     """Fit gyroscopes to the moves between still poses, in order of time. ``creep`` contains accelerometers and gyroscopes."""
-    moves, saturated = cut_moves(records, stills)
+    moves = Moves(records, stills)
     if len(moves.first) < FEWEST_MOVES:
         raise NotObservable(
             f"multi-position gyro: expected {FEWEST_MOVES} moves or more between stills for {parameter_names(MATRIX_NAMES)}, got "
-            f"{len(moves.first)}{''.join(f' ({item.text})' for item in saturated)}. Turn the device by 90 deg or more about "
+            f"{len(moves.first)}{''.join(f' ({item.text})' for item in moves.saturated)}. Turn the device by 90 deg or more about "
             "another axis between still poses of the same recording.",
             moves=len(moves.first),
         )
@@ -282,7 +261,7 @@ def fit_moves(
     problem = _Problem(moves, accel, records, creep, matrix)
     fit, rows = _descend(problem, matrix)
     _check_determined(rows.design[3 * len(problem.reading) :, :9], fit.theta[:9].reshape(3, 3))
-    return _judge_triad(problem, fit, rows, records[0].gyro_unit, saturated)
+    return _judge_triad(problem, fit, rows, records[0].gyro_unit)
 
 
 def matrix_of_moves(
@@ -298,7 +277,7 @@ def matrix_of_moves(
     Turns and moves together give the point of linearisation, because moves by themselves may determine a scale only to second
     order. At that point the turns are a weak prior, so that contradicting turns cannot enlarge the excess of the moves.
     """
-    moves, _ = cut_moves(records, stills)
+    moves = Moves(records, stills)
     if not len(moves.first):
         raise NotObservable(
             "multi-position gyro: no move between rests. Record the rests and the moves in one recording."
@@ -449,7 +428,7 @@ def _check_determined(matrix_slopes: FloatArray, matrix: FloatArray) -> None:
         )
 
 
-def _judge_triad(problem: _Problem, fit: GlsFit, rows: _Rows, unit_in: str, saturated: tuple[Finding, ...]) -> TriadFit:
+def _judge_triad(problem: _Problem, fit: GlsFit, rows: _Rows, unit_in: str) -> TriadFit:
     """Return parameters as a fit with its verdict. Raise if they cannot describe this gyroscope."""
     moves, rests, theta = problem.moves, problem.reading.size, fit.theta
     rms_deg = _rms_deg(problem, rows)
@@ -475,7 +454,7 @@ def _judge_triad(problem: _Problem, fit: GlsFit, rows: _Rows, unit_in: str, satu
         *above("multi_position.residual", rms_deg, MISS_DEG, rms=rms_deg, unit="deg", what="Moves"),
         *above("session.uncertain", percent, UNCERTAIN_PERCENT, size=percent, unit="%", **MATRIX_UNCERTAIN),
         *limited_by_codes("gyroscope", problem.codes, variance[9:12], unit_in),
-        *saturated,
+        *moves.saturated,
     )
     residuals = rows.misfit[rests:].reshape(-1, 2) / moves.duration_s[:, None]
     names = {"method": "multi-position", "unit_in": unit_in, "unit_out": "rad/s"}
