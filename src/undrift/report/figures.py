@@ -8,6 +8,7 @@ Figures are 4.8 inches wide, so that their text keeps 9 pixels on a screen of 39
 
 import io
 import textwrap
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from functools import cache
 from html import escape
@@ -406,24 +407,20 @@ def _add_legend(figure: "Figure", pieces: Sequence["Piece"], marks: dict[str, An
     """Add a legend with counts. Add the reasons for omitted phases below the picture."""
     from matplotlib.patches import Patch
 
-    reasons: dict[tuple[str, str], list[str]] = {}
+    reasons = Counter[tuple[str, str]]()
     for kind, colour in (("still", DEVICE), ("turn", ERROR)):
         accepted = [piece for piece in pieces if piece.kind == kind and not piece.why]
         out = [piece for piece in pieces if piece.kind == kind and piece.why]
-        what = "pause" if kind == "still" else kind
         style: Any = {"facecolor": colour, "edgecolor": "white"}
         if accepted:
             marks[f"{len(accepted)} {kind}{'s' * (len(accepted) > 1)} {'used' if used else 'found'}"] = Patch(**style)
         if out:
             hatched = Patch(**style, hatch="////", alpha=0.5)
-            marks[f"{len(out)} {what}{'s' * (len(out) > 1)} left out"] = hatched
-        for piece in out:
-            why, _, number = piece.why.partition(": ")
-            reasons.setdefault((what, why), []).append(f", the first {number}" if number else "")
+            marks[f"{len(out)} {kind}{'s' * (len(out) > 1)} left out"] = hatched
+        reasons.update((kind, piece.why) for piece in out)
     legend_outside(figure, [*marks.values()], [*marks], "upper left")
     if reasons:
-        most = sorted(reasons.items(), key=lambda item: -len(item[1]))[:_REASONS]
-        listed = "; ".join(f"{len(of)} {what}{'s' * (len(of) > 1)} ({why}{of[0]})" for (what, why), of in most)
+        listed = "; ".join(f"{n} {kind}{'s' * (n > 1)} ({why})" for (kind, why), n in reasons.most_common(_REASONS))
         figure.supxlabel(textwrap.fill(f"left out: {listed}", 110), fontsize=8, x=0.01, ha="left")
 
 

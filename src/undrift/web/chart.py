@@ -39,9 +39,8 @@ def chart_of(trace: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _bands(trace: Mapping[str, Any]) -> list[Any]:
-    """Return where a rest or turn that is used begins and ends, with its name: the face that is up, or the axis."""
+    """Return where a rest or turn begins and ends, with its name: the face that is up, or the axis."""
     return [
         [{"name": label.split(" ")[0], "xAxis": start, "itemStyle": {"color": BANDS[kind]}}, {"xAxis": stop}]
-        for kind, label, why, start, stop in trace["stretches"]
-        if not why
+        for kind, label, start, stop in trace["stretches"]
     ]

@@ -435,8 +435,8 @@ def _trace(about: Mapping[str, Any]) -> None:
     if not (trace := about.get("trace")):
         return
     stretches = trace["stretches"]
-    counts = [sum(s[0] == kind and not s[2] for s in stretches) for kind in ("still", "turn")]
-    faces = len({label for kind, label, why, *_ in stretches if kind == "still" and label and not why})
+    counts = [sum(s[0] == kind for s in stretches) for kind in ("still", "turn")]
+    faces = len({label for kind, label, *_ in stretches if kind == "still" and label})
     counts_text = f"{counts[0]} rests on {faces} faces, {counts[1]} turns"
     parts.text("p", proof_words(trace), "proof")
     parts.text("p", f"{trace['time'][-1]:.1f} s: {counts_text}.", "found")

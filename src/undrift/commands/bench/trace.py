@@ -42,9 +42,7 @@ def trace_of(recording: Path, opening: Opening) -> dict[str, Any]:
         trace["readings"][name] = _envelope(values)
         if means := [np.linalg.norm(values[still.start : still.stop].mean(axis=0)) for still in observed.stills]:
             trace["at_rest"][name] = float(np.median(means))
-    spans = [
-        (piece.kind, piece.label, piece.why, float(time[piece.start]), float(time[piece.stop - 1])) for piece in pieces
-    ]
+    spans = [(piece.kind, piece.label, float(time[piece.start]), float(time[piece.stop - 1])) for piece in pieces]
     return trace | {"stretches": spans}
 
 
