@@ -523,6 +523,6 @@ def test_a_table_that_is_uncertain_drifts_or_scatters_is_not_good():
     )  # 1.5 deg/s in a minute
     walk = fit_rate_table(drifting)
     assert walk.verdict.status == "marginal"
-    drift = only(walk.verdict.findings, "rate_table.drift")
+    drift = only(walk.verdict.findings, "session.offset_drift")
     assert drift.level == "warn"
     assert drift.values["dps_per_minute"] > drift.values["wanted"] == 0.1

@@ -45,7 +45,7 @@ from undrift.calibration.plausibility import (
 )
 from undrift.calibration.rate_table import axes_missing, check_reads_positive, first_table_matrix, table_prior
 from undrift.calibration.session import Observed, Outcome, spans_of
-from undrift.calibration.sources import Creep, creep_of, gyro_drift, in_case, slip_covariance, walks_of
+from undrift.calibration.sources import Creep, creep_of, gyro_drift, in_case, offset_drift, slip_covariance, walks_of
 from undrift.calibration.triads import check_agreement
 from undrift.errors import Implausible, InputError, NotObservable, PoorFit
 from undrift.findings import Finding, finding
@@ -235,6 +235,7 @@ def fit_known_rotation(
             fitted, findings = _combine_with_moves(fitted, moves)
         elif len(turn_axes) < 3:
             findings = [axes_missing([AXES[k] for k in turn_axes], rows.unit, cross_axis_prior)]
+        findings = [*findings, *offset_drift(gls)]
     findings += limited_by_codes("gyroscope", rows.rounding**2, np.diag(fitted.covariance)[9:12], rows.unit)
     names = {"method": f"known-rotation/{mode}", "unit_in": rows.unit, "unit_out": "rad/s"}
     return fit_of(fitted, rows.rate, residuals, Verdict.of(*findings), remainder="instability", **names)

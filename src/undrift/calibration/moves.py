@@ -27,7 +27,7 @@ from undrift.calibration.codes import code_steps, code_variance, limited_by_code
 from undrift.calibration.norm import NAMES, QUADRATIC_SD, TOLERANCE, check_count, fit_norm, judged
 from undrift.calibration.plausibility import check_axis_order, check_own_scale, check_range, stuck_windows
 from undrift.calibration.session import Observed, Outcome
-from undrift.calibration.sources import Creep, creep_of, flicker_of_means, steady_drift, walk_about_mean
+from undrift.calibration.sources import Creep, creep_of, flicker_of_means, offset_drift, steady_drift, walk_about_mean
 from undrift.errors import NotObservable, PoorFit
 from undrift.findings import above, finding
 from undrift.fit.gls import GlsFit, Prior, carried, solve
@@ -454,6 +454,7 @@ def _judge_triad(problem: _Problem, fit: GlsFit, rows: _Rows, unit_in: str) -> T
         *above("multi_position.residual", rms_deg, MISS_DEG, rms=rms_deg, unit="deg", what="Moves"),
         *above("session.uncertain", percent, UNCERTAIN_PERCENT, size=percent, unit="%", **MATRIX_UNCERTAIN),
         *limited_by_codes("gyroscope", problem.codes, variance[9:12], unit_in),
+        *offset_drift(fit),
         *moves.saturated,
     )
     residuals = rows.misfit[rests:].reshape(-1, 2) / moves.duration_s[:, None]

@@ -37,13 +37,12 @@ from undrift.calibration.plausibility import (
 )
 from undrift.calibration.session import Observed, Outcome, spans_of, with_offset
 from undrift.calibration.settings import Mode
-from undrift.calibration.sources import Creep, creep_of, gyro_drift, in_case, walks_of
+from undrift.calibration.sources import Creep, creep_of, gyro_drift, in_case, offset_drift, walks_of
 from undrift.calibration.table import DwellMeans, dwell_means, imposed_rates, mountings, table_axes
 from undrift.errors import Implausible, NotObservable
 from undrift.findings import Finding, above, finding
 from undrift.fit.gls import GlsFit, Prior, block_size, fit_huber, noise_of_means, solve_inverse
 from undrift.fit.priors import (
-    DRIFT_DPS,
     G_SENSITIVITY,
     SCALE_FACTOR,
     SCALE_FACTOR_IN_COUNTS,
@@ -203,9 +202,7 @@ def _rate_across(dwells: DwellMeans) -> FloatArray:
 
 
 def _findings(model: TriadModel, fit: GlsFit, dwells: DwellMeans) -> Iterator[Finding]:
-    walk = max((variance for kind, variance in fit.excess.items() if kind.startswith("instability")), default=0.0)
-    dps = (walk * 60.0) ** 0.5 / RADIAN_PER_DEGREE
-    yield from above("rate_table.drift", dps, DRIFT_DPS, dps_per_minute=dps)
+    yield from offset_drift(fit)
     yield from limited_by_codes("gyroscope", dwells.codes, np.diag(model.covariance)[9:12], dwells.unit)
     uncertain = 100.0 * model.relative_uncertainty
     texts = {

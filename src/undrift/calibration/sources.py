@@ -22,8 +22,9 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.calibration.quality import piece_temperatures
 from undrift.calibration.session import Observed, middles
-from undrift.findings import Finding, finding, told_apart
-from undrift.fit.priors import GYRO_FLICKER, REST_DRIFT
+from undrift.findings import Finding, above, finding, told_apart
+from undrift.fit.gls import GlsFit
+from undrift.fit.priors import DRIFT_DPS, GYRO_FLICKER, REST_DRIFT
 from undrift.model import AXES
 from undrift.record import Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -89,6 +90,13 @@ def walks_of(span: FloatArray | None) -> dict[str, FloatArray]:
         return {}
     walk = walk_about_mean(middle)
     return {f"instability {axis}": np.kron(walk, np.diag(np.eye(3)[k])) for k, axis in enumerate(AXES)}
+
+
+def offset_drift(fit: GlsFit) -> tuple[Finding, ...]:
+    """Return a finding if the excess variances of ``walks_of`` show that an offset of the gyroscopes walked in the session."""
+    walk = max((variance for kind, variance in fit.excess.items() if kind.startswith("instability")), default=0.0)
+    dps = (60.0 * walk) ** 0.5 / RADIAN_PER_DEGREE
+    return above("session.offset_drift", dps, DRIFT_DPS, dps_per_minute=dps)
 
 
 # ---- jitter of the clock
