@@ -2,15 +2,17 @@
 
 import numpy as np
 import pytest
+from pymatreader import read_mat
 from scipy.io import loadmat
 
 from testkit.data import data_path, show
 from testkit.findings import only
 from undrift.calibration.calibrate import calibrate_from_motion
 from undrift.calibration.in_motion import fit_in_motion
+from undrift.calibration.noise import fit_noise
 from undrift.calibration.norm import QUADRATIC_SD, fit_norm
 from undrift.correction.motion import fit_motion
-from undrift.errors import NotObservable
+from undrift.errors import Implausible, NotObservable
 from undrift.record import Record
 from undrift.segments import sphere_of
 from undrift.units import RADIAN_PER_DEGREE
@@ -91,3 +93,45 @@ def test_matrix_and_offset_of_24_poses_leave_the_residual_that_is_stated() -> No
     show("  of it, uncertainty of a corrected reading, mg", f"{fit.uncertainty / (1e-3 * G):.2f}", 2.0)
     assert rms_mg < 0.44  # a linear fit of the publication leaves 0.43
     assert fit.uncertainty < 2e-3 * G
+
+
+def tumbled(signs: tuple[float, float, float]) -> Record:
+    """Return the sphere by hand, with the gyroscopes' axes times their signs, on an even clock."""
+    folder = "tumble_mpu6050"
+    triads = {
+        name: np.asarray(read_mat(data_path(folder, f"set-2_full-sphere_{name}.mat"))[key], float)
+        for name, key in (("gyroscope", "gyroBuffer"), ("accelerometer", "accelBuffer"))
+    }
+    count = min(map(len, triads.values()))
+    time = np.linspace(0.0, np.ptp(triads["gyroscope"][:, 0]), len(triads["gyroscope"]))[:count]
+    gyro, accel = (triads[name][:count, 1:] for name in ("gyroscope", "accelerometer"))
+    return Record(time=time, gyro=gyro * signs, accel=accel, gyro_unit="dps", accel_unit="g")
+
+
+def test_tumbling_with_reversed_axes_is_refused_with_both_causes() -> None:
+    with pytest.raises(Implausible) as caught:
+        calibrate_from_motion([tumbled((1.0, 1.0, 1.0))])
+    show("tumble_mpu6050: refused", str(caught.value))
+    assert "x" in str(caught.value)
+    assert "y" in str(caught.value)
+
+
+def test_tumbling_with_the_true_axes_gives_scales_near_the_data_sheet() -> None:
+    model = calibrate_from_motion([tumbled((-1.0, -1.0, 1.0))]).gyro
+    assert model is not None
+    scale, sigma = np.diag(model.matrix) / RADIAN_PER_DEGREE, model.standard_uncertainty[[0, 4, 8]] / RADIAN_PER_DEGREE
+    show("tumble_mpu6050, x and y reversed: scales", f"{scale.round(4)} +- {sigma.round(4)}, data sheet 1.00 +- 0.03")
+    assert (np.abs(scale - 1.0) < 0.03).all()
+
+
+def test_an_hour_at_rest_gives_the_white_noise_of_a_course_sensor() -> None:
+    file = data_path("course_icm20948", "a_part5_gyro_1hour.csv")
+    counts = np.genfromtxt(file, delimiter=",", skip_header=1, usecols=(0, 1, 2))
+    fit = fit_noise(Record(time=np.linspace(0.0, 3600.0, len(counts)), gyro=counts, gyro_unit="count"))
+    density = np.array([axis.angle_random_walk.value for axis in fit.gyro])
+    show("course_icm20948: angle random walk, counts/sqrt(Hz)", density)
+    plain = counts.std(axis=0) * np.sqrt(
+        3600.0 / len(counts)
+    )  # an upper limit: the standard deviation contains the drift
+    assert (density < plain).all()
+    assert (density > 0.5 * plain).all()
