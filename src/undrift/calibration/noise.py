@@ -23,7 +23,7 @@ from undrift.fit.gls import excess_variance
 from undrift.model import AXES, Verdict
 from undrift.record import Record
 from undrift.segments import BENCH_ACCEL_LIMIT, BENCH_RATE_LIMIT
-from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, Quantity, is_physical, si_factor
+from undrift.units import RADIAN_PER_DEGREE, is_physical
 
 # ---- overlapping Allan deviation with confidence limits
 #
@@ -196,25 +196,22 @@ def fit_noise(record: Record) -> NoiseFit:
     >>> print(f"{noise.gyro[0].angle_random_walk.value:.4f}")  # 0.01 rad/s at 100 Hz: 0.001 rad/s/sqrt(Hz)
     0.0010
     """
-    gyro, accel = (_fit_triad(record, quantity) for quantity in ("rate", "accel"))
+    units = (record.gyro_unit, "rad/s"), (record.accel_unit, "m/s2")
+    record = record.in_units(*(si if is_physical(unit) else unit for unit, si in units))
+    gyro, accel = _fit_triad(record, "gyro"), _fit_triad(record, "accel")
     findings = (*_unit_findings(record, gyro), *_findings("gyro", gyro, record), *_findings("accel", accel, record))
     return NoiseFit(
         gyro=gyro,
         accel=accel,
-        gyro_unit=_unit(record.gyro_unit, "rate"),
-        accel_unit=_unit(record.accel_unit, "accel"),
+        gyro_unit=record.gyro_unit,
+        accel_unit=record.accel_unit,
         duration_s=record.duration_s,
         verdict=Verdict.of(*findings),
     )
 
 
-def _unit(unit: str, quantity: Quantity) -> str:
-    return SI_UNIT[quantity] if is_physical(unit) else unit
-
-
-def _fit_triad(record: Record, quantity: Quantity) -> tuple[AxisNoise, ...]:
+def _fit_triad(record: Record, name: str) -> tuple[AxisNoise, ...]:
     """Return the noise of each axis of a triad."""
-    name = "gyro" if quantity == "rate" else "accel"
     values, unit = getattr(record, name), getattr(record, f"{name}_unit")
     if values is None:
         return ()
@@ -224,12 +221,11 @@ def _fit_triad(record: Record, quantity: Quantity) -> tuple[AxisNoise, ...]:
             f"noise: expected {SHORTEST} {name} readings or more, got {int(finite.sum())} and {int((~finite).sum())} gaps (NaN). "
             "Record longer."
         )
-    rest_readings = values[finite] * (si_factor(unit, quantity) if is_physical(unit) else 1.0)
-    _check_rest(rest_readings, record.time[finite], record.sample_rate_hz, quantity, physical=is_physical(unit))
+    _check_rest(values[finite], record.time[finite], record.sample_rate_hz, name, physical=is_physical(unit))
     readings = np.full((int(places[-1]) + 1, 3), np.nan)  # on an even clock
-    readings[places[finite]] = rest_readings
+    readings[places[finite]] = values[finite]
     curves = [allan_deviation(column, record.sample_rate_hz) for column in readings.T]
-    return tuple(_fit_axis(curve, axis, _unit(unit, quantity)) for curve, axis in zip(curves, AXES, strict=True))
+    return tuple(_fit_axis(curve, axis, unit) for curve, axis in zip(curves, AXES, strict=True))
 
 
 def _places(record: Record) -> IntArray:
@@ -244,9 +240,9 @@ def _places(record: Record) -> IntArray:
     return np.concatenate(([0], np.cumsum(np.where(over, np.maximum(np.rint(steps), 2.0), 1.0).astype(np.int64))))
 
 
-def _check_rest(values: FloatArray, time: FloatArray, rate_hz: float, quantity: Quantity, *, physical: bool) -> None:
+def _check_rest(values: FloatArray, time: FloatArray, rate_hz: float, name: str, *, physical: bool) -> None:
     """Raise if a channel is stuck, or if means over 0.1 s vary within a second by more than at rest."""
-    name, deviation = "gyro" if quantity == "rate" else "accel", values.std(axis=0)
+    deviation = values.std(axis=0)
     if (deviation == 0.0).any():
         raise InputError(f"noise: {name} {AXES[int(np.argmin(deviation))]} has one value throughout. Check the column.")
     tenth = max(1, min(round(0.1 * rate_hz), len(values) // 30))
@@ -254,7 +250,7 @@ def _check_rest(values: FloatArray, time: FloatArray, rate_hz: float, quantity: 
     motion = np.sqrt(means.var(axis=1).sum(axis=1))
     # spread of the means that noise without motion causes
     white = float(np.sqrt((np.diff(values, axis=0).var(axis=0) / 2.0).sum() / tenth))
-    usual, limit = float(np.median(motion)), BENCH_RATE_LIMIT if quantity == "rate" else BENCH_ACCEL_LIMIT
+    usual, limit = float(np.median(motion)), BENCH_RATE_LIMIT if name == "gyro" else BENCH_ACCEL_LIMIT
     moving = np.flatnonzero(motion > 10.0 * max(usual, white))
     if len(moving) or (physical and usual > max(limit, 3.0 * white)):
         first_s = float(time[int(moving[0] if len(moving) else 0) * 10 * tenth])
