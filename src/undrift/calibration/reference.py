@@ -446,8 +446,9 @@ def _findings(model: TriadModel, nominal: FloatArray, rests: Sequence[FloatArray
             advice="also record turns about these axes of the device",
         )
     elif spread.max() > WANTED_MATRIX:
-        percent = 100.0 * float(spread.max())
-        yield finding("reference.uncertainty", "warn", triad="gyroscope", uncertainty_percent=percent)
+        yield finding(
+            "reference.uncertainty", "warn", triad="gyroscope", uncertainty_percent=100.0 * float(spread.max())
+        )
     spread_dps = float(np.std(rests, axis=0, ddof=1).max() * size / RADIAN_PER_DEGREE) if len(rests) > 1 else 0.0
     if spread_dps > WANTED_REST_DPS:
         yield finding("reference.rest_offset", "warn", spread_dps=spread_dps)

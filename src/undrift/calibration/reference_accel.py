@@ -80,7 +80,7 @@ def fit_reference_accel(
     if any(record.accel is None or record.accel_unit != unit for record in records):
         raise InputError("reference: all recordings need accelerometers in one unit. Map them.")
     records = [without_saturated(record)[0] for record in records]
-    stills, windows, poses = list[Still](), list[FloatArray](), list[FloatArray]()
+    stills, windows, bodies = list[Still](), list[FloatArray](), list[FloatArray]()  # R: mean body to level
     for number, (record, reference) in enumerate(zip(records, references, strict=True)):
         poses_in_view, mounting = native_poses(reference), Rotation.from_rotvec(mountings[number])
         for still in find_still(record, recording=number).stills:
@@ -90,10 +90,8 @@ def fit_reference_accel(
             if during.any() and len(window) > 1:
                 stills.append(still)
                 windows.append(window)
-                poses.append(
-                    (rotation(poses_in_view.q_nb[during]).mean() * mounting).as_matrix()
-                )  # R: mean body to level
-    body = np.reshape(poses, (-1, 3, 3))
+                bodies.append((rotation(poses_in_view.q_nb[during]).mean() * mounting).as_matrix())
+    body = np.reshape(bodies, (-1, 3, 3))
     up = body[:, 2]
     rank, condition = scaled_condition(np.column_stack((up, np.ones(len(up))))) if stills else (0, np.inf)
     if len(stills) < MIN_RESTS or rank < 4 or condition > MAX_CONDITION:
@@ -114,8 +112,7 @@ def fit_reference_accel(
     uncertainty = float((fitted.model.standard_uncertainty[:9] / np.linalg.norm(fitted.model.matrix, 2)).max())
     if uncertainty <= WANTED:
         return fitted
-    percent = 100.0 * uncertainty
-    uncertain = finding("reference.uncertainty", "warn", triad="accelerometer", uncertainty_percent=percent)
+    uncertain = finding("reference.uncertainty", "warn", triad="accelerometer", uncertainty_percent=100.0 * uncertainty)
     return replace(fitted, verdict=Verdict.of(uncertain))
 
 
