@@ -391,9 +391,7 @@ def cells_of(offsets: Offsets, regressors: FloatArray, direction: FloatArray, *,
     width = max(CELL_C, sum(float(np.ptp(blocks.temp_c[rows])) for rows in parts) / MOST_CELLS)
     members = [rows for group in parts for rows in split_by(group, bins_of(blocks.temp_c[group], width))]
     members.sort(key=lambda rows: float(blocks.temp_c[rows].mean()))
-    first = [rows[0] for rows in members]
-    # on a sweep the thermometer lags in use as it did in the log, and a table that contains the lag is right
-    soaked = np.array([np.ptp(blocks.temp_c[rest == rest[k]]) <= APART_C for k in first])
+    first, soaked = [rows[0] for rows in members], at_soaks(blocks, used)
     flicker = flicker_correlation(blocks, members)
     return Cells(
         session=blocks.session[first],
@@ -406,7 +404,7 @@ def cells_of(offsets: Offsets, regressors: FloatArray, direction: FloatArray, *,
             ]
         ),
         regressors=np.array([regressors[rows].mean(axis=0) for rows in members]),
-        ramp_c_per_s=soaked * np.array([blocks.ramp_c_per_min[rows].mean() for rows in members]) / 60.0,
+        ramp_c_per_s=np.array([(soaked * blocks.ramp_c_per_min)[rows].mean() for rows in members]) / 60.0,
         correlation=OWN * (rest[first][:, None] == rest[first]) + (1.0 - OWN) * flicker / np.diag(flicker).mean(),
         flicker=offsets.flicker[:, None, None] * flicker,
     )
@@ -446,6 +444,19 @@ def rests_of(blocks: RestBlocks) -> IntArray:
     number = np.full(len(blocks), -1, np.int64)
     number[order] = np.concatenate(([0], np.cumsum(np.any(another, axis=0))))
     return number
+
+
+def at_soaks(blocks: RestBlocks, used: IntArray) -> BoolArray:
+    """Return True for the blocks of sessions with separate temperatures, each no wider than a rest, (n,).
+
+    On a sweep the thermometer lags in use as it did in the log, and a table that contains the lag is right.
+    """
+    soaked = np.zeros(len(blocks), bool)
+    for rows in split_by(used, blocks.session[used]):
+        temp_c = np.sort(blocks.temp_c[rows])
+        soaks = np.split(temp_c, np.flatnonzero(np.diff(temp_c) > APART_C) + 1)
+        soaked[rows] = max(float(np.ptp(soak)) for soak in soaks) <= APART_C
+    return soaked
 
 
 def variance_of_mean(value: FloatArray, variance: FloatArray, step_error: FloatArray | None) -> FloatArray:
