@@ -36,7 +36,6 @@ STEADY = 0.02  # largest departure of a steady rate from its median, relative
 LEAST_RATE = 0.05 * RADIAN_PER_DEGREE  # below it the table rests, rad/s
 LARGEST_UNCERTAINTY = 0.01  # relative, of a rate (a dwell with a larger uncertainty is omitted)
 PARTS, PART_S = 12, 30.0  # largest number of parts of the log and their shortest length, each with a lag
-REACH_S = 5.0  # largest difference between the lags of a part and of the whole log
 FLOOR_S, JUMP_S = 1e-3, 0.3  # uncertainty of a lag on a ramp, and deviation from the line if a clock jumped
 UNKNOWN_SKEW = 1e-4  # relative, of two quartz clocks that a single part cannot compare
 
@@ -103,8 +102,7 @@ def align_clocks(log: RateLog, record: Record) -> LagLine:
     rates = rates.part((rates.start + initial_lag > record.time[0]) & (rates.stop + initial_lag < record.time[-1]))
     count = int(np.clip(np.ptp(rates.start) / PART_S, 1, PARTS))
     parts = [rates.part(rows) for rows in np.array_split(np.arange(len(rates.start)), count) if rates.rate[rows].any()]
-    longest_lag_s = abs(initial_lag) + REACH_S
-    line = lag_line(record, parts, longest_lag_s, near=initial_lag, average_s=0.1, floor_s=FLOOR_S)
+    line = lag_line(record, parts, near=initial_lag, average_s=0.1, floor_s=FLOOR_S)
     if (off_s := np.abs(line.off_s).max()) > JUMP_S:
         raise AlignmentError(
             f"{log.name}: a lag is {off_s:.2f} s off a line: a clock jumped, or readings are missing. Cut both files there."

@@ -354,20 +354,14 @@ class LagLine:
 
 
 def lag_line(
-    record: Record,
-    parts: Sequence[PoseRates],
-    longest_lag_s: float = LONGEST_LAG_S,
-    *,
-    near: float,
-    average_s: float = AVERAGE_S,
-    floor_s: float = 1e-6,
+    record: Record, parts: Sequence[PoseRates], *, near: float, average_s: float = AVERAGE_S, floor_s: float = 1e-6
 ) -> LagLine:
     """Fit a line to the lags of parts of a recording, with an uncertainty that includes their scatter.
 
     Lags with a larger uncertainty than an average are omitted, and ``floor_s`` is the smallest uncertainty that counts. Raise
     AlignmentError if a part has no common motion.
     """
-    lags, when = list[Lag](), list[float]()
+    lags, when, longest_lag_s = list[Lag](), list[float](), abs(near) + LONGEST_LAG_S
     for section in parts:
         lag = lag_of(record.time, np.asarray(record.gyro), section, longest_lag_s, average_s=average_s, near=near)
         if lag.standard_uncertainty < average_s:
@@ -403,7 +397,7 @@ def in_step(
         return record, lag, []
     parts = [rates.part(rows) for rows in np.array_split(np.flatnonzero(common), PARTS)]
     try:
-        line = lag_line(record, parts, longest_lag_s, near=lag.seconds)
+        line = lag_line(record, parts, near=lag.seconds)
     except AlignmentError:  # a part is still, or has no poses
         return record, lag, []
     if abs(line.skew) * span_s > LEAST_SKEW_S and abs(line.skew) > SKEW_SIGMAS * line.skew_uncertainty:
