@@ -482,8 +482,7 @@ def find_turns(record: Record, stills: Sequence[Still]) -> TurnSearch:
         raise InputError("find_turns: the record has no gyroscope. Map the gyro columns.")
     fs = record.sample_rate_hz
     mean, spread = sliding_moments(record.gyro, sample_count(_STEADY_S, fs), max(1, round(_AVERAGED_S * fs)))
-    finite = np.isfinite(spread)
-    floor = float(np.quantile(spread[finite], FLOOR_QUANTILE)) if finite.any() else np.inf  # none: a gap in each window
+    finite, floor = np.isfinite(spread), _floor(spread)
     offset = np.median(mean[finite], axis=0) if finite.any() else np.zeros(3)
     if stills:
         offset = np.nanmean(np.concatenate([record.gyro[s.start : s.stop] for s in stills]), axis=0)

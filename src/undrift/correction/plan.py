@@ -59,17 +59,14 @@ class TableAxis:
 
     @property
     def cells(self) -> int:
-        """Number of cells."""
         return len(self.nodes) - 1
 
     @property
     def start(self) -> float:
-        """First node."""
         return float(self.nodes[0])
 
     @property
     def stop(self) -> float:
-        """Last node."""
         return float(self.nodes[-1])
 
     @property
