@@ -332,7 +332,7 @@ def fitted(made, seed=0, temps=TEMPS, steps=None):
     """Return matrix and dynamic drift of computed steps, and the steps."""
     if steps is None:
         steps = computed(made, temps, np.random.default_rng(seed + 100), rates=FEW, noise_dps=0.008)
-    static, truth = true_tables(made, NODES, np.radians([-90.0, 90.0])).static, true_calibration(made)
+    static, truth = true_tables(made, NODES, np.radians([-90.0, 90.0])).static, true_calibration(made).gyro
     clean = prepared(steps, truth, static=static)
     scale = fit_scale(clean, truth, temp_c=NODES)
     return clean, scale, fit_dynamic(clean, truth, span_c=(18.0, 75.0), scale=scale.drift)
@@ -350,7 +350,7 @@ def fitted(made, seed=0, temps=TEMPS, steps=None):
 @pytest.mark.parametrize("devices", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_both_tables_predict_a_soak_that_was_left_out_whether_a_device_needs_them_or_not(changes, devices):
     for seed in range(devices):
-        made, truth = device(seed, **changes), true_calibration(device(seed, **changes))
+        made, truth = device(seed, **changes), true_calibration(device(seed, **changes)).gyro
         clean, *_ = fitted(made, seed)
         static, left = true_tables(made, NODES, np.radians([-90.0, 90.0])).static, []
         assert static is not None

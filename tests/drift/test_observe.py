@@ -35,7 +35,7 @@ def made(temps=(20.0, 40.0)):
 
 
 def steps_of(steps, static=None):
-    return prepared(steps, true_calibration(DEVICE), static=static)
+    return prepared(steps, true_calibration(DEVICE).gyro, static=static)
 
 
 def test_each_axis_of_each_soak_is_a_mounting_and_both_signs_belong_to_it():

@@ -30,7 +30,7 @@ def fitted(made, temps=TEMPS, noise_dps=1e-5, steps=None, **kept):
     if steps is None:
         steps = computed(made, temps, np.random.default_rng(1), rates=FEW, noise_dps=noise_dps, **kept)
     table = true_tables(made, NODES, np.radians([-90.0, 90.0])).static
-    calibration = true_calibration(made)
+    calibration = true_calibration(made).gyro
     return fit_dynamic(prepared(steps, calibration, static=table), calibration, span_c=(15.0, 75.0))
 
 
@@ -112,8 +112,8 @@ def test_the_measured_rate_is_the_table_offset_and_the_matrix():
     made = device(rate_drift=None, g_sensitivity=None)
     steps = computed(made, TEMPS[:2], np.random.default_rng(1), rates=FEW, noise_dps=1e-9)
     table = true_tables(made, TEMPS[:2], np.radians([-90.0, 90.0]))
-    ready = prepared(steps, true_calibration(made), static=table.static)
-    w = measured_rate(ready.reading, steps.temp_c, true_calibration(made), table.scale)
+    ready = prepared(steps, true_calibration(made).gyro, static=table.static)
+    w = measured_rate(ready.reading, steps.temp_c, true_calibration(made).gyro, table.scale)
     assert np.abs(w - steps.rate_b).max() < 1e-9
 
 

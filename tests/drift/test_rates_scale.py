@@ -29,8 +29,8 @@ def fitted(made, temps=SOAKS, noise_dps=1e-6, steps=None, **kept):
         else steps
     )
     truth = true_tables(made, NODES, np.radians([-90.0, 90.0]))
-    made_ready = prepared(steps, true_calibration(made), static=truth.static)
-    return fit_scale(made_ready, true_calibration(made), temp_c=NODES), truth
+    made_ready = prepared(steps, true_calibration(made).gyro, static=truth.static)
+    return fit_scale(made_ready, true_calibration(made).gyro, temp_c=NODES), truth
 
 
 def test_the_matrix_of_a_device_without_noise_comes_back_at_every_node():
@@ -106,12 +106,6 @@ def test_nothing_but_gaps_is_refused():
         fitted(device(), steps=replace(steps, temp_c=np.full(len(steps), np.nan)))
 
 
-def test_a_calibration_without_gyroscopes_is_refused():
-    steps = computed(device(), SOAKS, np.random.default_rng(1), rates=FEW)
-    with pytest.raises(InputError, match="no gyroscopes"):
-        prepared(steps, replace(true_calibration(device()), gyro=None), static=None)
-
-
 def test_turns_about_one_oblique_axis_are_left_out():
     steps = computed(device(), SOAKS, np.random.default_rng(1), rates=FEW, axes=(0,))
     oblique = replace(steps, rate_b=steps.rate_b[:, [0]] * np.array([0.8, 0.6, 0.0]))
@@ -131,7 +125,9 @@ def test_variances_that_are_not_known_do_not_stop_the_fit():
 def test_no_offset_table_is_no_obstacle_where_rates_are_both_ways():
     made = device()
     steps = computed(made, SOAKS, np.random.default_rng(1), rates=FEW, noise_dps=1e-6)
-    fit = fit_scale(prepared(steps, true_calibration(made), static=None), true_calibration(made), temp_c=NODES)
+    fit = fit_scale(
+        prepared(steps, true_calibration(made).gyro, static=None), true_calibration(made).gyro, temp_c=NODES
+    )
     truth = true_tables(made, NODES, np.radians([-90.0, 90.0]))
     assert np.abs(fit.drift.gyro_matrix - truth.scale.gyro_matrix).max() < 1e-5 * np.abs(truth.scale.gyro_matrix).max()
 
@@ -139,7 +135,7 @@ def test_no_offset_table_is_no_obstacle_where_rates_are_both_ways():
 def test_soaks_given_in_any_order_come_back_by_temperature():
     made = device()
     steps = computed(made, SOAKS[::-1], np.random.default_rng(1), rates=FEW, noise_dps=1e-6)
-    soaks = soak_matrices(prepared(steps, true_calibration(made), static=None), true_calibration(made))
+    soaks = soak_matrices(prepared(steps, true_calibration(made).gyro, static=None), true_calibration(made).gyro)
     assert (np.diff(soaks.temp_c) > 0.0).all()
     lone = reading(made.gyro, np.eye(3)[:1], np.array([soaks.temp_c[0] - 25.0])) - reading(
         made.gyro, np.zeros((1, 3)), np.array([soaks.temp_c[0] - 25.0])
@@ -151,5 +147,7 @@ def test_the_offset_table_is_held_at_its_ends():
     made = device()
     steps = computed(made, SOAKS, np.random.default_rng(1), rates=FEW, noise_dps=1e-6)
     table = StaticDrift(temp_c=[30.0, 40.0], gyro_offset=np.zeros((2, 3)))
-    fit = fit_scale(prepared(steps, true_calibration(made), static=table), true_calibration(made), temp_c=NODES)
+    fit = fit_scale(
+        prepared(steps, true_calibration(made).gyro, static=table), true_calibration(made).gyro, temp_c=NODES
+    )
     assert np.isfinite(fit.drift.gyro_matrix).all()

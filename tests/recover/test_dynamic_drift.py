@@ -91,9 +91,9 @@ def test_the_compensated_rate_error_is_near_that_of_the_true_tables(seed: int) -
     bench = BenchSettings(turn_rates=tuple(GRID[::4]), dwell_s=1.5)
     constant = calibrate(simulate_session("bench", device, rng=rng, settings=bench))
     static = static_of(rests)
-    clean = prepared(steps, constant, static=static)
-    scale = fit_scale(clean, constant, temp_c=NODES).drift
-    dynamic = fit_dynamic(clean, constant, span_c=(18.0, 75.0), scale=scale).drift
+    clean = prepared(steps, constant.gyro, static=static)
+    scale = fit_scale(clean, constant.gyro, temp_c=NODES).drift
+    dynamic = fit_dynamic(clean, constant.gyro, span_c=(18.0, 75.0), scale=scale).drift
     tables = DriftTables(static=static, scale=scale, dynamic=dynamic)
     calibrations = [
         constant,
@@ -144,8 +144,8 @@ def test_intervals_of_matrix_and_dynamic_drift_hold_the_truth(devices: int) -> N
         rng = np.random.default_rng(100 + seed)
         # The matrix on a device of straight lines: on a bent one the best line over the grid is no single truth.
         fit = fit_scale(
-            prepared(computed(straight, SOAKS, rng, rates=GRID[1::2]), true_calibration(straight), static=static),
-            true_calibration(straight),
+            prepared(computed(straight, SOAKS, rng, rates=GRID[1::2]), true_calibration(straight).gyro, static=static),
+            true_calibration(straight).gyro,
             temp_c=NODES,
         )
         truth = true_tables(straight, NODES, np.array([-1.0, 1.0])).scale
@@ -154,7 +154,7 @@ def test_intervals_of_matrix_and_dynamic_drift_hold_the_truth(devices: int) -> N
             continue
         steps = computed(device, SOAKS, rng, rates=GRID[1::2])
         made = true_calibration(device)
-        dynamic = fit_dynamic(prepared(steps, made, static=static), made, span_c=(15.0, 75.0))
+        dynamic = fit_dynamic(prepared(steps, made.gyro, static=static), made.gyro, span_c=(15.0, 75.0))
         seen = ~dynamic.drift.extrapolated & (dynamic.drift.turn_rate != 0.0)
         for axis in range(3):
             off = dynamic.drift.error[..., axis] - _truth_of_e(device, dynamic, axis)

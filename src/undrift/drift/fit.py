@@ -274,11 +274,11 @@ def _fit_rates(
             raise NotObservable("calibration or sessions have no gyroscopes.")
         if not len(steps):
             raise NotObservable("rests do not determine them. Turn the device at known rates at two temperatures.")
-        clean = prepared(steps, device, static=static.table)
-        scale = fit_scale(clean, device, temp_c=temp_c)
+        clean = prepared(steps, device.gyro, static=static.table)
+        scale = fit_scale(clean, device.gyro, temp_c=temp_c)
         if "dynamic" in tables:
             matrix = scale.drift if "scale" in tables else None
-            dynamic = fit_dynamic(clean, device, span_c=(float(temp_c[0]), float(temp_c[-1])), scale=matrix)
+            dynamic = fit_dynamic(clean, device.gyro, span_c=(float(temp_c[0]), float(temp_c[-1])), scale=matrix)
     except NotObservable as error:
         what = "Scale and dynamic drift" if scale is None else "Dynamic drift"
         if tables != "none" and static.gyro is not None:

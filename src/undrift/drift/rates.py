@@ -39,7 +39,7 @@ from undrift.findings import Finding, finding
 from undrift.fit.curve import Cubics, fit_curve
 from undrift.fit.gls import determined, excess_variance
 from undrift.fit.triad import inverse_jacobian
-from undrift.model import AXES, Calibration, DynamicDrift, ScaleDrift, StaticDrift, TriadModel, Verdict
+from undrift.model import AXES, DynamicDrift, ScaleDrift, StaticDrift, TriadModel, Verdict
 from undrift.units import si_factor
 
 STEP_C = 5.0  # between the nodes of the dynamic table
@@ -111,7 +111,7 @@ class DynamicFit:
 # ---- rate steps made ready
 
 
-def prepared(steps: RateSteps, calibration: Calibration, *, static: StaticDrift | None) -> Steps:
+def prepared(steps: RateSteps, model: TriadModel, *, static: StaticDrift | None) -> Steps:
     """Return the usable rows of rate steps without their offsets: those of mountings that turned at two rates or more."""
     finite = np.isfinite(steps.gyro).all(axis=1) & np.isfinite(steps.rate_b).all(axis=1) & np.isfinite(steps.temp_c)
     usable = steps.taken(finite & steps.rate_b.any(axis=1))
@@ -139,7 +139,7 @@ def prepared(steps: RateSteps, calibration: Calibration, *, static: StaticDrift 
         axis=axis,
         temp_c=usable.temp_c,
         rate_b=usable.rate_b,
-        reading=usable.gyro - _offset_at(usable.temp_c, calibration, static),
+        reading=usable.gyro - _offset_at(usable.temp_c, model, static),
         variance=np.maximum(known_variance(usable.gyro_variance), (LEAST_DIGIT * np.abs(usable.gyro).max(axis=0)) ** 2),
         findings=(finding("drift.left_out", "warn", what=left_out, why=why),) if lost else (),
     ).taken(rows)
@@ -150,25 +150,15 @@ def _number_groups(*keys: IntArray) -> IntArray:
     return np.unique(np.column_stack(keys), axis=0, return_inverse=True)[1].reshape(-1)
 
 
-def gyro_model(calibration: Calibration) -> TriadModel:
-    """Return the gyroscopes' constant model."""
-    if calibration.gyro is None:
-        raise InputError("rate steps: the calibration has no gyroscopes. Calibrate on a rate table first.")
-    return calibration.gyro
-
-
-def _offset_at(temp_c: FloatArray, calibration: Calibration, static: StaticDrift | None) -> FloatArray:
+def _offset_at(temp_c: FloatArray, model: TriadModel, static: StaticDrift | None) -> FloatArray:
     """Return the gyroscopes' offset at temperatures (n,), (n, 3): from the table, or the constant."""
     if static is None or static.gyro_offset is None:
-        return np.tile(gyro_model(calibration).offset, (len(temp_c), 1))
+        return np.tile(model.offset, (len(temp_c), 1))
     return interpolated(temp_c, static.temp_c, static.gyro_offset)
 
 
-def measured_rate(
-    reading: FloatArray, temp_c: FloatArray, calibration: Calibration, scale: ScaleDrift | None
-) -> FloatArray:
+def measured_rate(reading: FloatArray, temp_c: FloatArray, model: TriadModel, scale: ScaleDrift | None) -> FloatArray:
     """Return the rate M(T) y of mean readings without offset, y (n, 3), rad/s."""
-    model = gyro_model(calibration)
     matrix = np.tile(model.matrix, (len(temp_c), 1, 1))
     if scale is not None and scale.gyro_matrix is not None:
         matrix = interpolated(temp_c, scale.temp_c, scale.gyro_matrix)
@@ -178,9 +168,9 @@ def measured_rate(
 # ---- matrix over temperature
 
 
-def fit_scale(steps: Steps, calibration: Calibration, *, temp_c: FloatArray) -> ScaleFit:
+def fit_scale(steps: Steps, model: TriadModel, *, temp_c: FloatArray) -> ScaleFit:
     """Fit the gyroscopes' matrix over temperature, at nodes (n,), degC."""
-    model, soaks = gyro_model(calibration), soak_matrices(steps, calibration)
+    soaks = soak_matrices(steps, model)
     turned_soaks = np.isfinite(soaks.forward[:, 0, :])
     count = turned_soaks.sum(axis=0)
     spans_c = [float(np.ptp(soaks.temp_c[rows])) if rows.any() else 0.0 for rows in turned_soaks.T]
@@ -222,11 +212,11 @@ def _axis_not_turned(what: str) -> Finding:
     return finding("drift.not_observable", "warn", what=what, problem=problem)
 
 
-def soak_matrices(steps: Steps, calibration: Calibration) -> SoakMatrices:
+def soak_matrices(steps: Steps, model: TriadModel) -> SoakMatrices:
     """Fit the forward matrix at each soak: column j to the turns about axis j, each mounting with its own offset."""
     numbers = np.unique(steps.soak)
     temp_c = np.array([steps.temp_c[steps.soak == s].mean() for s in numbers])
-    constant, forward, variance = _forward(gyro_model(calibration)), *np.full((2, len(numbers), 3, 3), np.nan)
+    constant, forward, variance = _forward(model), *np.full((2, len(numbers), 3, 3), np.nan)
     for m in np.unique(steps.mounting):
         rows = np.flatnonzero(steps.mounting == m)
         j, k = steps.axis[rows[0]], np.searchsorted(numbers, steps.soak[rows[0]])
@@ -292,7 +282,7 @@ class Surface:
 
 def fit_dynamic(
     steps: Steps,
-    calibration: Calibration,
+    model: TriadModel,
     *,
     span_c: tuple[float, float],
     scale: ScaleDrift | None = None,
@@ -302,7 +292,7 @@ def fit_dynamic(
     Nodes are the imposed rates, zero and the ends of the measured rates, rad/s, and temperatures every 5 degC with the ends of
     ``span_c``.
     """
-    points = [_surface_points(axis, steps, calibration, scale) for axis in range(3)]
+    points = [_surface_points(axis, steps, model, scale) for axis in range(3)]
     axis_points = [data for data in points if data is not None]
     if not axis_points:
         soaks = len(np.unique(steps.soak))
@@ -339,15 +329,13 @@ def fit_dynamic(
     return DynamicFit(drift=drift, surfaces=tuple(surfaces), verdict=Verdict.of(*findings))
 
 
-def _surface_points(
-    axis: int, steps: Steps, calibration: Calibration, scale: ScaleDrift | None
-) -> SurfacePoints | None:
+def _surface_points(axis: int, steps: Steps, model: TriadModel, scale: ScaleDrift | None) -> SurfacePoints | None:
     """Return the rows of mountings that turned about an axis, or None without three soaks."""
     axis_steps = steps.taken(steps.axis == axis)
     if len(np.unique(axis_steps.soak)) < 3:
         return None
-    rate = measured_rate(axis_steps.reading, axis_steps.temp_c, calibration, scale)[:, axis]
-    row = measured_rate(np.eye(3), np.zeros(3), calibration, None)[:, axis]  # row of M
+    rate = measured_rate(axis_steps.reading, axis_steps.temp_c, model, scale)[:, axis]
+    row = measured_rate(np.eye(3), np.zeros(3), model, None)[:, axis]  # row of M
     return SurfacePoints(
         turn_rate=rate,
         temp_c=axis_steps.temp_c,
