@@ -30,8 +30,8 @@ from undrift.fit.carried import MEAN_S, CarriedMeans
 from undrift.fit.priors import SCALE_FACTOR, SCALE_LIMIT
 from undrift.fit.triad import TriadFit, triad_fit
 from undrift.model import Verdict
-from undrift.record import Record
-from undrift.segments import find_still
+from undrift.record import Record, Still
+from undrift.segments import BENCH_RATE_LIMIT, StillSettings, find_still
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
 LEAST_S, LEAST_DPS = 20.0, 5.0  # shortest recording, and smallest rms of its rates minus their mean
@@ -43,6 +43,7 @@ MOVED, DAILY, RAW_RATE = 0.02 * RADIAN_PER_DEGREE, 0.1 * RADIAN_PER_DEGREE, 1.0 
 # ratio of the actual errors to those of the equations: gyroscopes 1.2 simulated, 1.5 in real trials, accelerometers 1.8
 WIDENED_GYRO, WIDENED_ACCEL = 1.5, 1.8
 SCALES = np.array([0, 4, 8])  # places of the scale factors among the elements of a matrix
+QUIET_FLOORS = 3.5  # spread of a short rest, over that of the quietest window. Assumed.
 ONE_AXIS = 0.1  # smallest share of the rates about the main axis that counts as a turn about others. Assumed.
 NOT_GRAVITY = 1.0  # m/s2, largest acceleration in means over 5 s (walking 0.03, hands 0.1). Assumed.
 FIELD_SIZE = 0.01  # relative, by which the size of a corrected magnetic field may differ between means. Assumed.
@@ -242,7 +243,7 @@ def _parts(records: Sequence[Record], fields: Sequence[FloatArray | None], field
     parts = list[_Part]()
     for number, record in enumerate(records):
         gyro, accel = np.asarray(record.gyro), np.asarray(record.accel)
-        stills = find_still(record).stills
+        stills = find_still(record).stills or _quiet_seconds(record)
         moving, rest = np.ones(len(record)), None
         for still in stills:
             moving[still.start : still.stop] = 0.0
@@ -262,6 +263,12 @@ def _parts(records: Sequence[Record], fields: Sequence[FloatArray | None], field
                 )
             )  # fmt: skip
     return parts
+
+
+def _quiet_seconds(record: Record) -> tuple[Still, ...]:
+    """Return stretches nearly as quiet as the quietest one, within the limit of a bench, for a recording without a clear rest."""
+    found, rates = find_still(record, StillSettings(threshold_floors=QUIET_FLOORS)).stills, np.asarray(record.gyro)
+    return tuple(s for s in found if rates[s.start : s.stop].std(axis=0).max() <= BENCH_RATE_LIMIT)
 
 
 def _check_turned(parts: Sequence[_Part]) -> None:
