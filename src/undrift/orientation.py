@@ -55,6 +55,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 
 if TYPE_CHECKING:
     import pandas as pd
+    from scipy.spatial.transform import Rotation
 
 # ---- Initial tilt
 
@@ -269,6 +270,13 @@ class Orientation(Shown):
         }
         drift = {item.headline: item.detail for item in self.findings}
         return {"samples": str(len(self.time))} | spans | {"tilt": self.tilt.statement} | drift
+
+    @property
+    def rotation(self) -> "Rotation":
+        """The orientation as a scipy Rotation of N, body to level frame."""
+        from scipy.spatial.transform import Rotation
+
+        return Rotation.from_quat(self.q_nb, scalar_first=True)
 
     def to_frame(self) -> "pd.DataFrame":
         """Return the orientation as a pandas DataFrame: time_s, q_w to q_z, and the angles in deg, as `orient` writes them."""

@@ -198,7 +198,7 @@ def scatter_of_readings(windows: Sequence[FloatArray]) -> FloatArray:
 
 def mean_rounding(values: Sequence[FloatArray], rests: Sequence[FloatArray]) -> FloatArray:
     """Return the standard deviation (3,) of a mean at rest due to rounding, from all readings and those at rest, (N, 3) each."""
-    return np.sqrt(code_variance(_steps(values), scatter_of_readings(rests)))
+    return np.sqrt(code_variance(_steps(values), np.mean([rest.var(axis=0) for rest in rests], axis=0)))
 
 
 def limited_by_codes(
