@@ -36,7 +36,7 @@ def test_correct_subtracts_the_offset_of_a_recording_that_never_rests():
     gyro = fit_reference([other[0]], [other[1]]).triad.model
     made = Calibration(device="chain", gyro=gyro, reference_temp_c=25.0, gravity_m_s2=9.80665)
     plain, moved = (correct_whole(record, made, offset=offset) for offset in ("none", "motion"))
-    assert moved.rest.rest is None
+    assert moved.rest.rest_s is None
     np.testing.assert_allclose(plain.record.gyro - moved.record.gyro, moved.rest.at(record.time), atol=1e-12)
     # Turn-on repeatability is a tenth of a degree per second: what two recordings of one device differ by
     assert np.abs(np.degrees(moved.rest.rate)).max() < 0.3

@@ -57,6 +57,8 @@ MIN_NOISE = 1e-9  # relative to the largest reading, the arithmetic error of the
 
 # ---- fit of dwells and rests
 
+NO_TURNS = "rate table: expected dwells at two different rates or more about an axis, got none about x, y, z. Record both signs."
+
 
 def fit_rate_table(
     dwells: DwellMeans,
@@ -109,9 +111,7 @@ def _check_turn_axes(dwells: DwellMeans, scale_tolerance: float) -> list[int]:
             check_reads_positive(slope, k)
             check_own_scale(slope[k], dwells.unit, "rate", scale_tolerance, f"gyroscope {axis}")
     if not turn_axes:
-        raise NotObservable(
-            "rate table: expected dwells at two different rates or more about an axis, got none about x, y, z. Record both signs."
-        )
+        raise NotObservable(NO_TURNS)
     return turn_axes
 
 
@@ -270,6 +270,8 @@ def calibrate_rates(observed: Observed, mode: str | None, accel: TriadFit | None
     """Fit the gyroscopes of a session to its turns at known rates."""
     session, settings = observed.session, observed.settings
     turns = [turn for turn in session.turns if turn.axis is not None and turn.turn_rate is not None]
+    if not turns:
+        raise NotObservable(NO_TURNS)
     dwells = dwell_means(session.records, turns, settle_s=settings.settle_s, cutoff_hz=settings.spline_cutoff_hz)
     turn_axes = tuple(axis for axis in AXES if axis in dwells.axis)
     model = None if accel is None else accel.model

@@ -29,9 +29,9 @@ from undrift.kernels.rotation import strapdown
 from undrift.record import Record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
-WINDOW_S = 4.0  # long enough to average motion out
+WINDOWS_S = (4.0, 1.0)  # long windows average motion out, but a short recording has only short windows
 STEP_S = 0.02  # step over which rotations are summed (a hand turns by 20 deg in it at most)
-MOST_WINDOWS, FEWEST_WINDOWS = 60, 4
+MOST_WINDOWS, FEWEST_WINDOWS = 60, {4.0: 4, 1.0: 2}
 MIN_MOVE = 0.1  # in g: gravity moves by 6 deg from one half of a window to the other
 SAMPLES = 200_000  # samples from the start that are used: 12 min at 286 Hz
 # Increase of ``kept`` by the better order or unit, share of g^2. A free pendulum, the worst real case, gains 0.04 by a
@@ -81,28 +81,33 @@ def _windows(record: Record, unit_s: float) -> _Windows | None:
         return None
     time, gyro, accel = (values[:SAMPLES] for values in (record.time * unit_s, record.gyro, record.accel))
     dt = float(np.median(np.diff(time)))
-    step = max(1, int(STEP_S / dt))
-    length = 2 * max(2, round(0.5 * WINDOW_S / (step * dt)))
-    count = len(time) // (length * step)
-    windowed = slice(count * length * step)
-    steps = np.diff(time, append=time[-1] + dt)[windowed].reshape(count, length * step)
-    shape = (count, length, step, 3)
-    w, f = gyro[windowed].reshape(shape), accel[windowed].reshape(shape).mean(axis=2)
-    sound = np.isfinite(w).all(axis=(1, 2, 3)) & np.isfinite(f).all(axis=(1, 2)) & (steps < 3.0 * dt).all(axis=1)
-    if not sound.any():
-        return None
-    w, f = w[sound], f[sound]
-    gravity = float(np.median(np.linalg.norm(f, axis=2)))
-    halves = f.reshape(len(f), 2, -1, 3).mean(axis=2) / gravity
-    change = np.linalg.norm(halves[:, 1] - halves[:, 0], axis=1)
-    selection = [int(k) for k in np.argsort(-change, kind="stable")[:MOST_WINDOWS] if change[k] > MIN_MOVE]
-    if len(selection) < FEWEST_WINDOWS:
-        return None
-    spread = w.std(axis=(1, 2)).max(axis=1)
-    offset = w[int(np.argmin(spread))].mean(axis=(0, 1))
-    if spread.min() >= QUIET * spread.max() or np.linalg.norm(offset) >= LARGEST_OFFSET:
-        offset = np.zeros(3)
-    return _Windows(turn=(w[selection] - offset).sum(axis=2) * dt, force=f[selection] / gravity, gravity=gravity)
+    for window_s in WINDOWS_S:
+        step = max(1, int(STEP_S / dt))
+        length = 2 * max(2, round(0.5 * window_s / (step * dt)))
+        count = len(time) // (length * step)
+        windowed = slice(count * length * step)
+        steps = np.diff(time, append=time[-1] + dt)[windowed].reshape(count, length * step)
+        shape = (count, length, step, 3)
+        w, f = gyro[windowed].reshape(shape), accel[windowed].reshape(shape).mean(axis=2)
+        sound = np.isfinite(w).all(axis=(1, 2, 3)) & np.isfinite(f).all(axis=(1, 2)) & (steps < 3.0 * dt).all(axis=1)
+        if sound.sum() < FEWEST_WINDOWS[window_s]:
+            continue
+        w, f = w[sound], f[sound]
+        gravity = float(np.median(np.linalg.norm(f, axis=2)))
+        halves = f.reshape(len(f), 2, -1, 3).mean(axis=2) / gravity
+        gravity_change = np.linalg.norm(halves[:, 1] - halves[:, 0], axis=1)
+        selection = [
+            int(k) for k in np.argsort(-gravity_change, kind="stable")[:MOST_WINDOWS] if gravity_change[k] > MIN_MOVE
+        ]
+        if len(selection) >= FEWEST_WINDOWS[window_s]:
+            spread = w.std(axis=(1, 2)).max(axis=1)
+            offset = w[int(np.argmin(spread))].mean(axis=(0, 1))
+            if spread.min() >= QUIET * spread.max() or np.linalg.norm(offset) >= LARGEST_OFFSET:
+                offset = np.zeros(3)
+            return _Windows(
+                turn=(w[selection] - offset).sum(axis=2) * dt, force=f[selection] / gravity, gravity=gravity
+            )
+    return None
 
 
 # ---- checks
@@ -178,7 +183,8 @@ def _disagreement(record: Record, unit_s: float) -> Finding | None:
     significant = gain >= max(MIN_GAIN, SIGMAS * scatter / np.sqrt(len(unchanged)))
     if not significant or mistake.kept.mean() < MIN_KEPT or (explained < least and not contradicted):
         return None
-    ordinary = abs(windows.gravity / STANDARD_GRAVITY - 1.0) < 0.1
+    enough = contradicted or len(unchanged) >= FEWEST_WINDOWS[WINDOWS_S[0]]
+    ordinary = enough and abs(windows.gravity / STANDARD_GRAVITY - 1.0) < 0.1
     return finding(
         "record.triads_disagree",
         "fail" if gain >= CLEAR_GAIN and ordinary else "warn",

@@ -44,9 +44,7 @@ class RemainingOffset:
     time: Annotated[FloatArray, Shape("s")]  # middle of the rest or of each stretch, s
     rate: Annotated[FloatArray, Shape("s", 3)]  # rad/s, frame b
     covariance: Annotated[FloatArray, Shape("s", 3, 3)]  # covariance of the rate, (rad/s)^2
-    rest_s: (
-        tuple[float, float] | None
-    )  # first and last sample of the rest on the recording's clock, or None without a rest
+    rest_s: tuple[float, float] | None  # first and last sample of the rest, or None without a rest
     stills: tuple[Still, ...] | None = None  # all rests found in the search, or None for a given stretch
     moved: float  # rad/s, standard uncertainty of the change from rest to motion, all axes together
     prior: Vector = None  # standard deviation before the motion was used, rad/s, or None for the mean of a rest
