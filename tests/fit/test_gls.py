@@ -42,14 +42,15 @@ def test_noise_of_the_readings_does_not_make_the_scale_smaller():
     assert abs(np.mean(scales) - 1.0) < 4.0 * error
 
 
-def test_the_excess_of_one_kind_is_the_residual_variance():
+@pytest.mark.parametrize("stated", [1e-12, 0.04])
+def test_the_excess_of_one_kind_is_the_residual_variance(stated):
     rng = np.random.default_rng(2)
     design = line()
     value = design @ [2.0, -1.0] + 0.3 * rng.standard_normal(40)
-    fit = solve(design, value, {"noise": 1e-12 * np.eye(40)}, excess={"scatter": np.eye(40)})
-    assert fit.excess["scatter"] == pytest.approx(float(fit.residuals @ fit.residuals) / 38.0, rel=1e-3)
+    fit = solve(design, value, {"noise": stated * np.eye(40)}, excess={"scatter": np.eye(40)})
+    assert fit.excess["scatter"] + stated == pytest.approx(float(fit.residuals @ fit.residuals) / 38.0, rel=1e-3)
     assert fit.freedom["scatter"] == pytest.approx(38.0)
-    inside = fit.covariance[1, 1] * 40.0 / fit.excess["scatter"]
+    inside = (fit.covariance[1, 1] * 40.0 - stated) / fit.excess["scatter"]
     assert inside == pytest.approx(student_factor(38.0), rel=1e-6)
 
 

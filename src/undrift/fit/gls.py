@@ -304,12 +304,13 @@ def _climb(
     rows: _GlsRows, variances: FloatArray, state: _State, free: IntArray, steps: int
 ) -> tuple[FloatArray, _State]:
     """Improve the variances of the free shapes with at most ``steps`` steps of Fisher scoring. Return them and their solution."""
-    shapes = [rows.shapes[k] for k in free]
+    places = [np.flatnonzero(rows.shapes[k].any(axis=1)) for k in free]  # a shape is zero outside its own rows
+    shapes = [(place, rows.shapes[k][np.ix_(place, place)]) for k, place in zip(free, places, strict=True)]
     for _ in range(steps if shapes else 0):
-        products = [state.projector @ shape for shape in shapes]
-        square = np.array([state.weighted @ shape @ state.weighted for shape in shapes])
-        score = square - [np.trace(product) for product in products]
-        information = np.array([[(first * second.T).sum() for second in products] for first in products])
+        products = [(place, state.projector[:, place] @ shape) for place, shape in shapes]
+        square = np.array([state.weighted[place] @ shape @ state.weighted[place] for place, shape in shapes])
+        score = square - [np.trace(product[place]) for place, product in products]
+        information = np.array([[(a[q] * b[p].T).sum() for q, b in products] for p, a in products])
         step = np.zeros(len(variances))
         step[free] = _bounded_step(variances[free], score, information)
         if score @ step[free] <= 2.0 * TOLERANCE**2:
