@@ -70,11 +70,9 @@ DEVICE = DeviceModel(
 )
 
 
-def simulated(clock=None, *, devices=1, **settings):
-    """Return a simulated bench with these devices. On a virtual clock, time passes only when the test waits."""
-    return SimulatedBench(
-        (DEVICE,) * devices, SimulatedSettings(**{"limits": LIMITS, **settings}), clock or VirtualClock()
-    )
+def simulated(clock=None, **settings):
+    """Return a simulated bench with this device. On a virtual clock, time passes only when the test waits."""
+    return SimulatedBench(DEVICE, SimulatedSettings(**{"limits": LIMITS, **settings}), clock or VirtualClock())
 
 
 class Hands:
@@ -91,14 +89,11 @@ class Hands:
 class Device:
     """Readings of a device on the bench, for tests that modify them, without a thermometer."""
 
-    def __init__(self, bench, number=0):
-        self.bench, self.readings = bench, bench.readings[number]
+    def __init__(self, bench):
+        self.bench, self.readings = bench, bench.readings
 
     def start(self, *, certain=True):
         self.readings.start(certain=certain)
-
-    def end(self):
-        self.readings.end()
 
     def stop(self):
         return replace(self.readings.stop(), temp_c=None)

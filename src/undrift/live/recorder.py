@@ -241,26 +241,20 @@ class DwellReadings:
         self._deadline_s = deadline_s
         self._start: float | None = None
         self._first: float | None = None  # first certain reading, device time, s
-        self._end: float | None = None
 
     def start(self, *, certain: bool = True) -> None:
         """Start a dwell now. With `certain`, wait until a reading is certainly after the start."""
         self.recorder.check()
         start = self.recorder.now()
         self._first = self.recorder.begun(start, self._deadline_s) if certain else None
-        self._start, self._end = start, None
-
-    def end(self) -> None:
-        """End the dwell now, independent of the time of ``stop``."""
-        self._end = self.recorder.now()
+        self._start = start
 
     def stop(self) -> Record:
         """Return the readings since ``start``."""
         if self._start is None:
             raise InputError("dwell: no dwell was started. Start it first.")
         start, self._start = self._start, None
-        stop = self.recorder.now() if self._end is None else self._end
-        return self.recorder.between(start, stop, self._deadline_s, first=self._first)
+        return self.recorder.between(start, self.recorder.now(), self._deadline_s, first=self._first)
 
     def latest(self) -> str:
         """Return the latest reading as text."""

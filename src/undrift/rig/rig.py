@@ -11,11 +11,8 @@ add a row to CONTROLLERS.
 """
 
 import math
-import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
-from importlib.resources import files
 from typing import Literal, Protocol
 
 import numpy as np
@@ -317,21 +314,6 @@ def check_programme(
         raise InputError(f"{where}{error}", **error.numbers) from error
 
 
-# ---- Error and stop codes of controllers.
-
-
-@cache
-def codes(kind: str) -> dict[str, str]:
-    """Return the meanings of a kind of code: galil_error (TC), galil_stop (SC), grbl_error, grbl_alarm."""
-    table: dict[str, str] = tomllib.loads((files("undrift.rig") / "codes.toml").read_text(encoding="utf-8"))[kind]
-    return table
-
-
-def in_words(kind: str, code: int) -> str:
-    """Return the meaning of a code."""
-    return codes(kind).get(str(code), codes(kind)["other"])
-
-
 # ---- Addresses.
 
 # function that opens a rig, by kind
@@ -348,7 +330,6 @@ class RigSettings:
     encoder_lines: int = 10_000  # lines of a servo's encoder, 4 counts each
     axis: str = ""  # letter of the axis ("" selects the rig's default)
     baud: int = 0  # bits per second of a serial port (0 selects the rig's default)
-    hardware_handshake: bool = False  # RTS/CTS of a serial port
     reply_timeout_s: float = 2.0  # longest wait for an answer, s
     accept: Literal["off", "on", "moving"] = "moving"  # state of the motor in which a table may be opened
     clock_speed: float = 1.0  # table seconds per host second (1 for hardware)
@@ -366,7 +347,6 @@ OPTIONS: dict[str, Callable[[str], object]] = {
     "encoder_lines": int,
     "axis": str.upper,
     "baud": int,
-    "hardware_handshake": lambda text: {"yes": True, "no": False}[text],
     "reply_timeout_s": float,
     "clock_speed": float,
 }
@@ -397,7 +377,7 @@ def parse_address(address: str, settings: RigSettings = RigSettings()) -> tuple[
             raise InputError(f"rig: unknown option '{name}' in the address. Use one of {', '.join(OPTIONS)}.")
         try:
             settings = replace(settings, **{name: OPTIONS[name](text)})  # type: ignore[arg-type]
-        except (ValueError, KeyError) as error:
+        except ValueError as error:
             raise InputError(f"rig: '{text}' is not a value for {name}. Correct the address.") from error
     if kind == "simulated" and settings.clock is None:
         if not settings.clock_speed > 0.0:

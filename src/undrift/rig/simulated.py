@@ -14,7 +14,6 @@ load of the host. The air is solved with the trapezoidal rule, and the board exa
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -35,7 +34,7 @@ from undrift.rig.rig import (
     ServoReport,
     steady_angle,
 )
-from undrift.sim.device.causal import Seen, SimulatedDevice, Surroundings
+from undrift.sim.device.causal import Seen, SimulatedDevice
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device
 from undrift.sim.motion.motion import unit_vector
@@ -112,7 +111,7 @@ SETTLED_S = 0.1  # settling time at the end of a move, s
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SimulatedSettings:
-    """Settings of the simulated bench, without its devices."""
+    """Settings of the simulated bench, without its device."""
 
     servo: ServoSettings = field(default_factory=ServoSettings)  # servo of the table
     air: AirSettings = field(default_factory=AirSettings)  # air of the chamber
@@ -124,7 +123,7 @@ class SimulatedSettings:
 
 
 class SimulatedBench:
-    """A bench that also mounts its devices. ``table`` is a Rig, ``chamber`` a Chamber, and ``readings`` are of its devices.
+    """A bench that also mounts its device. ``table`` is a Rig, ``chamber`` a Chamber, and ``readings`` are of its device.
 
     ``faults`` contains the active faults:
 
@@ -135,22 +134,23 @@ class SimulatedBench:
     """
 
     def __init__(
-        self, devices: Sequence[DeviceModel] = (), settings: SimulatedSettings = SimulatedSettings(), clock: Clock | None = None
-    ) -> None:  # fmt: skip
+        self,
+        device: DeviceModel | None = None,
+        settings: SimulatedSettings = SimulatedSettings(),
+        clock: Clock | None = None,
+    ) -> None:
         self.settings, self.clock = settings, clock or PacedClock()
         self.faults = set[str]()
-        chosen = devices or [random_device(np.random.default_rng(settings.seed), grade="consumer")]
+        model = device or random_device(np.random.default_rng(settings.seed), grade="consumer")
         self._zero = self.clock.now()
         self.servo, self.air = Servo(settings.servo), Air(settings.air)
         self._hands = np.random.default_rng((settings.seed, 1))
         self._log = np.array([-1.0, 0.0]), np.zeros(2)  # recent times and angles of the axis, s and rad
-        self._last = [np.zeros((1, 3)) for _ in chosen]  # rate at the last reading
+        self._last = np.zeros((1, 3))  # rate at the last reading
         self.face: Face = "+z"
         self._up = unit_vector("+z")
-        self.devices = tuple(
-            SimulatedDevice(model, self._surroundings(k), settings.seed + k, 0.0) for k, model in enumerate(chosen)
-        )
-        self.readings = tuple(SimulatedReadings(self, device) for device in self.devices)
+        self.device = SimulatedDevice(model, self._surroundings, settings.seed, 0.0)
+        self.readings = SimulatedReadings(self, self.device)
         self.table = SimulatedTable(self, settings.limits)
         self.chamber = SimulatedChamber(self, replace(settings.chamber, clock=self.clock))
 
@@ -167,8 +167,7 @@ class SimulatedBench:
         before = self._log
         self._log = np.concatenate((before[0], times)), np.concatenate((before[1], angles))
         self.air.advance(now)
-        for readings in self.readings:
-            readings.take(now)
+        self.readings.take(now)
         self._log = self._log[0][first:], self._log[1][first:]
         return now
 
@@ -182,7 +181,7 @@ class SimulatedBench:
         return float((self._log[1][-1] - self._log[1][-2]) / (self._log[0][-1] - self._log[0][-2]))
 
     def mount(self, up: Face) -> None:
-        """Mount the devices with another face up, as an operator would."""
+        """Mount the device with another face up, as an operator would."""
         if up not in FACES:
             raise InputError(
                 f"mount: the face must be one of {', '.join(FACES)}, got '{up}'. Set the axis that points up."
@@ -196,16 +195,14 @@ class SimulatedBench:
         tilted = unit + np.cross(tilt, unit)
         self._up = tilted / np.linalg.norm(tilted)
 
-    def _surroundings(self, number: int) -> Surroundings:
-        def surroundings(times: FloatArray, step_s: float) -> Seen:
-            angle = np.interp(times, *self._log) - np.interp(times - step_s, *self._log)
-            rate = angle[:, None] / step_s * self._up
-            before = np.vstack((self._last[number], rate[:-1]))
-            self._last[number] = rate[-1:]
-            force = np.broadcast_to(self.settings.gravity_m_s2 * self._up, (len(times), 3))
-            return rate, (rate - before) / step_s, force, rate, self.air.at(times)[1]
-
-        return surroundings
+    def _surroundings(self, times: FloatArray, step_s: float) -> Seen:
+        """Return rate, angular acceleration, force, mean rate over the step (n, 3) and temperature (n,)."""
+        angle = np.interp(times, *self._log) - np.interp(times - step_s, *self._log)
+        rate = angle[:, None] / step_s * self._up
+        before = np.vstack((self._last, rate[:-1]))
+        self._last = rate[-1:]
+        force = np.broadcast_to(self.settings.gravity_m_s2 * self._up, (len(times), 3))
+        return rate, (rate - before) / step_s, force, rate, self.air.at(times)[1]
 
 
 class SimulatedTable:
@@ -322,7 +319,6 @@ class SimulatedReadings:
         self._bench, self._device = bench, device
         self._kept: list[tuple[IntArray, FloatArray]] | None = None  # counts and rows of this dwell
         self._newest = np.full(7, np.nan)
-        self._ended = False
 
     def take(self, now: float) -> None:
         """Read the device up to the current time."""
@@ -334,18 +330,13 @@ class SimulatedReadings:
         if "power_cut" in self._bench.faults:
             rows[:] = np.nan
         self._newest = rows[-1]
-        if self._kept is not None and not self._ended:
+        if self._kept is not None:
             self._kept.append((counts, rows))
 
     def start(self, *, certain: bool = True) -> None:
         """Start to store readings."""
         self._bench.advance()
-        self._kept, self._ended = [], False
-
-    def end(self) -> None:
-        """End the dwell now."""
-        self._bench.advance()
-        self._ended = True
+        self._kept = []
 
     def stop(self) -> Record:
         """Return the readings since ``start``."""
