@@ -240,7 +240,6 @@ def twin() -> Numbers:
         "gyro delay seconds": made.delay,
         "gyro matrix": made.gyro.triad.model.matrix,
         "gyro offset dps": np.degrees(made.gyro.triad.model.matrix @ made.gyro.triad.model.offset),
-        "residual dps": np.degrees(made.gyro_residual_rms),
     }
 
 

@@ -117,14 +117,6 @@ def test_standard_errors_are_small_enough_to_be_of_use():
     assert found("gyro_delay")[1] < 1e-4
 
 
-def test_the_codes_and_what_cannot_be_told_are_named():
-    by_name = {p.name: p for p in fitted().parameters}
-    assert by_name["gyro_rounding"].value == "toward_zero"
-    assert by_name["gyro_lsb"].value == pytest.approx(np.radians(STEP_DPS), rel=1e-6)
-    assert by_name["accel_lsb"].reason
-    assert "on no grid" in by_name["accel_lsb"].reason
-
-
 def test_the_device_of_the_twin_is_the_device():
     device = device_of(fitted(), sample_rate_hz=RATE_HZ)
     true = true_device()

@@ -8,7 +8,7 @@ import pytest
 from testkit.hand_turns import make_recording
 from undrift.errors import InputError, NotObservable
 from undrift.record import Reference
-from undrift.twin.accel import lever_matrix, match, prepare_accel, solve_accel
+from undrift.twin.accel import match, prepare_accel, solve_accel
 from undrift.twin.fit import fit_prepared, prepare_twin
 from undrift.twin.held_out import compare_held_out
 from undrift.units import STANDARD_GRAVITY
@@ -88,9 +88,3 @@ def match_pieces(reference: Reference):
     from undrift.sim.motion.poses import fit_pose_spline
 
     return fit_pose_spline(reference).pieces
-
-
-def test_a_lever_arm_needs_angular_acceleration(pair):
-    motion = match(*pair).at(0.0, STANDARD_GRAVITY)
-    with pytest.raises(InputError, match="no angular acceleration"):
-        lever_matrix(replace(motion, angular_acceleration_b=None))

@@ -27,7 +27,7 @@ class Twinned(Result):
     output: Path | None
 
     def summary(self) -> Summary:
-        """Return the parameters, the residual against the reference, and the errors of the prediction."""
+        """Return the parameters and the errors of the prediction."""
         import numpy as np
 
         fitted, held_out, count = self.fitted, self.held_out, len(self.fitted.prepared.matches)
@@ -110,7 +110,7 @@ def _spread(values: "FloatArray") -> dict[str, float]:
 
 
 def _data(fitted: "Twin", held_out: "tuple[HeldOutTrial, ...]") -> dict[str, object]:
-    deg, accel = 1.0 / RADIAN_PER_DEGREE, fitted.accel
+    deg = 1.0 / RADIAN_PER_DEGREE
     keys = ("name", "value", "standard_error", "unit", "identifiable", "reason")
     return {
         "parameters": [{key: getattr(p, key) for key in keys} for p in fitted.parameters],
@@ -124,22 +124,15 @@ def _data(fitted: "Twin", held_out: "tuple[HeldOutTrial, ...]") -> dict[str, obj
             }
             for trial in held_out
         ],
-        "residual": {
-            "gyro_rms_dps": float((fitted.gyro_residual_rms * deg).mean()),
-            "gyro_signal_rms_dps": float((fitted.gyro_signal_rms * deg).mean()),
-            "accel_rms_m_s2": None if accel is None else float(accel.residual_rms.mean()),
-            "accel_signal_rms_m_s2": None if accel is None else float(accel.signal_rms.mean()),
-            "cutoff_hz": {"gyro": fitted.prepared.gyro_cutoff_hz, "accel": fitted.prepared.accel_cutoff_hz},
-        },
     }
 
 
 def _sections(fitted: "Twin", held_out: "tuple[HeldOutTrial, ...]") -> tuple[Section, ...]:
-    deg, accel, prepared = 1.0 / RADIAN_PER_DEGREE, fitted.accel, fitted.prepared
+    deg = 1.0 / RADIAN_PER_DEGREE
     parameters = [
         {
             "name": p.name,
-            "value": p.value if isinstance(p.value, str) else number(p.value, ".6g"),
+            "value": number(p.value, ".6g"),
             "standard error": number(p.standard_error, ".2g"),
             "unit": p.unit,
         }
@@ -147,16 +140,6 @@ def _sections(fitted: "Twin", held_out: "tuple[HeldOutTrial, ...]") -> tuple[Sec
         if p.identifiable
     ]
     unidentified = tuple(f"{p.name} is not identified: {p.reason}." for p in fitted.parameters if not p.identifiable)
-    residuals = [
-        {
-            "recording": match.name,
-            "gyro dps": f"{fitted.gyro_residual_rms[k] * deg:.2f}",
-            "signal dps": f"{fitted.gyro_signal_rms[k] * deg:.1f}",
-            "accel m/s2": f"{accel.residual_rms[k]:.3f}" if accel else "–",
-            "signal m/s2": f"{accel.signal_rms[k]:.2f}" if accel else "–",
-        }
-        for k, match in enumerate(prepared.matches)
-    ]
     windows = [
         {
             "recording": trial.recording,
@@ -166,11 +149,8 @@ def _sections(fitted: "Twin", held_out: "tuple[HeldOutTrial, ...]") -> tuple[Sec
         }
         for trial in held_out
     ]
-    cutoffs = f"Low-pass: gyroscopes {prepared.gyro_cutoff_hz:g} Hz, accelerometers {prepared.accel_cutoff_hz:g} Hz."
-    title = "residual against the reference, and signal, rms per axis"
     held_title = "held out: largest pitch difference between simulated and real device in a window, deg"
     return (
         rows_section("parameters of the device", parameters, text=unidentified, words=True),
-        rows_section(title, residuals, text=(cutoffs,)),
         *((rows_section(held_title, windows),) if windows else ()),
     )

@@ -119,7 +119,6 @@ class AccelRows:
     force: FloatArray  # (K, 3), p'' + g z, m/s2
     block: IntArray  # (K,), number of the second that each row belongs to
     delay: float  # beyond the gyroscopes', s
-    gravity_m_s2: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -130,17 +129,13 @@ class AccelFit:
     lever_arm: FloatArray  # (3,), from the optical body's origin to the sensor, frame of that body, m
     delay: float  # additional delay of the readings after the gyroscopes, s
     covariance: FloatArray  # (16, 16), matrix, offset, lever arm, delay
-    residual_rms: FloatArray  # (R,), per axis, for each recording, m/s2
-    signal_rms: FloatArray  # (R,), specific force minus gravity, per axis, m/s2
 
 
 def lever_matrix(motion: Motion) -> FloatArray:
     """Return the effect of a lever arm on specific force, L = [w']x + [w]x [w]x, (N, 3, 3)."""
-    if motion.angular_acceleration_b is None:
-        raise InputError("lever arm: the motion has no angular acceleration. Make it from poses.")
-    w = motion.rate_b
+    w, spin_up = motion.rate_b, np.asarray(motion.angular_acceleration_b)
     outer = w[:, :, None] * w[:, None, :] - (w * w).sum(axis=1)[:, None, None] * np.eye(3)
-    x, y, z = motion.angular_acceleration_b.T
+    x, y, z = spin_up.T
     zero = np.zeros_like(x)
     return np.asarray(outer + np.stack((zero, -z, y, z, zero, -x, -y, x, zero), axis=1).reshape(-1, 3, 3))
 
@@ -168,15 +163,12 @@ def accel_rows(match: Match, *, delay: float, matrix: FloatArray, gravity_m_s2: 
     if not tables:
         raise NotObservable("accel fit: no second of motion has poses throughout. Record longer motion.")
     table, block = np.concatenate(tables), np.floor(np.concatenate(times) / BLOCK_S).astype(np.int64)
-    return AccelRows(
-        design=table[:, :, :16], force=table[:, :, 16], block=block, delay=delay, gravity_m_s2=gravity_m_s2
-    )
+    return AccelRows(design=table[:, :, :16], force=table[:, :, 16], block=block, delay=delay)
 
 
-def prepare_accel(
-    matches: Sequence[Match], *, gravity_m_s2: float, cutoff_hz: float = CUTOFF_HZ
-) -> tuple[AccelRows, ...]:
+def prepare_accel(matches: Sequence[Match], *, gravity_m_s2: float) -> tuple[AccelRows, ...]:
     """Return the equations of each recording, linearised at the delay that fits all recordings."""
+    cutoff_hz = min(CUTOFF_HZ, *(MAX_CUTOFF_SHARE * item.record.sample_rate_hz for item in matches))
 
     def equations(delay: float, matrix: FloatArray) -> tuple[AccelRows, ...]:
         return tuple(
@@ -194,21 +186,18 @@ def solve_accel(rows: Sequence[AccelRows]) -> AccelFit:
     matrix = x[:9].reshape(3, 3)
     offset, jacobian = offset_of(matrix, x[9:12], 16)
     covariance = jacobian @ covariance @ jacobian.T
-    residuals = [item.force - item.design @ x for item in rows]
+    residuals = np.concatenate([item.force - item.design @ x for item in rows])
     force = np.concatenate([item.force for item in rows])
     fit = triad_fit(
-        np.concatenate(residuals), method="reference", unit_in="m/s2", unit_out="m/s2", matrix=matrix, offset=offset,
+        residuals, method="reference", unit_in="m/s2", unit_out="m/s2", matrix=matrix, offset=offset,
         covariance=covariance[:12, :12], rank=16, condition=condition,
         valid_range=(float(force.min()), float(force.max())),
     )  # fmt: skip
-    level = np.array([0.0, 0.0, rows[0].gravity_m_s2])
     return AccelFit(
         model=fit.model,
         lever_arm=x[12:15],
         delay=rows[0].delay + float(x[15]),
         covariance=covariance,
-        residual_rms=np.array([np.sqrt((values**2).mean()) for values in residuals]),
-        signal_rms=np.array([np.sqrt(((item.force - level) ** 2).mean()) for item in rows]),
     )
 
 

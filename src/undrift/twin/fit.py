@@ -16,26 +16,14 @@ from typing import NamedTuple
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration.codes import CodeGrid, device_adc, identify_adc
+from undrift.calibration.codes import device_adc, identify_adc
 from undrift.calibration.reference import ReferenceFit, fit_aligned
 from undrift.errors import CalibrationError, InputError
-from undrift.frames import rotate
 from undrift.model import AXES, MATRIX_NAMES, AdcModel, TriadModel
 from undrift.record import Record, Reference
-from undrift.twin.accel import (
-    CUTOFF_HZ,
-    MAX_CUTOFF_SHARE,
-    AccelFit,
-    AccelRows,
-    Match,
-    low_passed,
-    match,
-    prepare_accel,
-    solve_accel,
-)
+from undrift.twin.accel import AccelFit, AccelRows, Match, match, prepare_accel, solve_accel
 from undrift.units import STANDARD_GRAVITY
 
-GYRO_CUTOFF_HZ = 20.0  # of the gyroscope residuals
 BLOCK_S = 0.25  # of rest: people and floors move a device more slowly
 MIN_REST_S = 2.0
 
@@ -45,15 +33,15 @@ class TwinParameter:
     """One parameter of the device model."""
 
     name: str
-    unit: str  # "1" for a ratio, "" for a word
-    value: float | str = math.nan  # NaN if it is not identified
+    unit: str  # "1" for a ratio
+    value: float = math.nan  # NaN if it is not identified
     standard_error: float = math.nan  # same unit
     reason: str = ""  # reason if the recordings do not identify it (otherwise empty)
 
     @property
     def identifiable(self) -> bool:
         """True if the recordings identify it."""
-        return isinstance(self.value, str) or not math.isnan(self.value)
+        return not math.isnan(self.value)
 
 
 class RestNoise(NamedTuple):
@@ -72,8 +60,6 @@ class Prepared:
     accel: tuple[AccelRows, ...]  # equations of the accelerometer, one for each recording (empty: refused)
     accel_refused: str  # reason if no accelerometers were fitted
     gravity_m_s2: float
-    gyro_cutoff_hz: float  # of the residuals
-    accel_cutoff_hz: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -86,9 +72,6 @@ class Twin:
     gyro_noise: RestNoise | None  # white noise at rest
     accel_noise: RestNoise | None
     parameters: tuple[TwinParameter, ...]  # with standard errors, or with the reason why they are not identified
-    # (R,), corrected readings minus the rate of the poses, per axis, rad/s, after a low-pass
-    gyro_residual_rms: FloatArray
-    gyro_signal_rms: FloatArray  # (R,), the rate of the poses after the same low-pass, per axis, rad/s
     prepared: Prepared
 
     @property
@@ -149,12 +132,10 @@ def prepare_twin(
     adc = device_adc(records)
     labels = list(names) or [""] * len(records)
     matches = tuple(match(*item, adc=adc) for item in zip(records, references, labels, strict=True))
-    highest_hz = MAX_CUTOFF_SHARE * min(record.sample_rate_hz for record in records)
-    accel_cutoff_hz = min(CUTOFF_HZ, highest_hz)
     accel: tuple[AccelRows, ...] = ()
     refused = ""
     try:
-        accel = prepare_accel(matches, gravity_m_s2=gravity_m_s2, cutoff_hz=accel_cutoff_hz)
+        accel = prepare_accel(matches, gravity_m_s2=gravity_m_s2)
     except (InputError, CalibrationError) as error:
         refused = str(error)
     return Prepared(
@@ -163,8 +144,6 @@ def prepare_twin(
         accel=accel,
         accel_refused=refused,
         gravity_m_s2=gravity_m_s2,
-        gyro_cutoff_hz=min(GYRO_CUTOFF_HZ, highest_hz),
-        accel_cutoff_hz=accel_cutoff_hz,
     )
 
 
@@ -174,13 +153,8 @@ def fit_prepared(prepared: Prepared, *, chosen: Sequence[int] | None = None) -> 
     matches = [prepared.matches[k] for k in numbers]
     gyro = fit_aligned(matches, "one", turning=False)
     accel = solve_accel([prepared.accel[k] for k in numbers]) if prepared.accel else None
-    rests, first = [item.rest for item in matches if item.span.rested], matches[0].record
-    grids = {
-        name: identify_adc(readings) for name in ("gyro", "accel") if (readings := getattr(first, name)) is not None
-    }
-    steps = {name: 0.0 if grid.lsb is None else float(grid.lsb.mean()) for name, grid in grids.items()}
-    noise = {name: rest_noise(rests, name, step=steps.get(name, 0.0)) for name in ("gyro", "accel")}
-    residual, signal = np.array([gyro_residual(item, gyro, prepared) for item in matches]).T
+    rests = [item.rest for item in matches if item.span.rested]
+    noise = {name: rest_noise(rests, name, step=_code_step(matches[0].record, name)) for name in ("gyro", "accel")}
     return Twin(
         gyro=gyro,
         accel=accel,
@@ -192,27 +166,16 @@ def fit_prepared(prepared: Prepared, *, chosen: Sequence[int] | None = None) -> 
             *_accel_rows(gyro, accel, prepared.accel_refused),
             *_noise_rows("gyro_angle_random_walk", "rad/s/sqrt(Hz)", noise["gyro"]),
             *_noise_rows("accel_velocity_random_walk", "m/s2/sqrt(Hz)", noise["accel"]),
-            *_code_rows(grids, prepared.adc),
         ),
-        gyro_residual_rms=residual,
-        gyro_signal_rms=signal,
         prepared=prepared,
     )
 
 
-def gyro_residual(match: Match, fit: ReferenceFit, prepared: Prepared) -> tuple[float, float]:
-    """Return rms of corrected readings minus the rate of the poses, and of that rate, after a low-pass, rad/s."""
-    motion = match.at(match.lag.seconds, prepared.gravity_m_s2)
-    model = fit.model_at_rest_offset(match.rest_offset)
-    corrected = (match.gyro - model.offset) @ model.matrix.T
-    columns: list[FloatArray] = [np.empty((0, 6))]
-    for rows in match.stretches(motion, match.gyro):
-        both = np.hstack([rotate(motion.q_nb[rows], rate[rows]) for rate in (corrected, motion.rate_b)])
-        columns.append(low_passed(both, prepared.gyro_cutoff_hz, match.record.sample_rate_hz)[0])
-    readings, poses = np.hsplit(np.concatenate(columns), 2)
-    if not len(poses):
-        return float("nan"), float("nan")
-    return float(np.sqrt(((readings - poses) ** 2).mean())), float(np.sqrt((poses**2).mean()))
+def _code_step(record: Record, channel: str) -> float:
+    """Return the mean step of a triad's codes, or 0 without a grid of codes."""
+    values = getattr(record, channel)
+    lsb = None if values is None else identify_adc(values).lsb
+    return 0.0 if lsb is None else float(lsb.mean())
 
 
 def rest_noise(records: Sequence[Record], channel: str, *, step: float = 0.0) -> RestNoise | None:
@@ -292,20 +255,3 @@ def _noise_rows(name: str, unit: str, noise: RestNoise | None) -> list[TwinParam
         reason = f"no {MIN_REST_S:g} s of rest without gaps in which every reading changes"
         return [TwinParameter(name=name, unit=unit, reason=reason)]
     return _rows(name, unit, noise.random_walk, noise.random_walk_error)
-
-
-def _code_rows(grids: dict[str, CodeGrid], adc: AdcModel | None) -> list[TwinParameter]:
-    """Return step and rounding of the codes of each triad."""
-    rows = []
-    for name, grid in grids.items():
-        unit, lsb = "rad/s" if name == "gyro" else "m/s2", grid.lsb
-        if lsb is None:
-            rows.append(TwinParameter(name=f"{name}_lsb", unit=unit, reason=grid.reason))
-            continue
-        step, spread = float(lsb.mean()), float(lsb.std())
-        rows.append(TwinParameter(name=f"{name}_lsb", unit=unit, value=step, standard_error=spread))
-        known = adc.gyro_rounding if name == "gyro" and adc is not None and adc.gyro_lsb is not None else None
-        rounding = known or grid.rounding
-        reason = "" if rounding else grid.reason
-        rows.append(TwinParameter(name=f"{name}_rounding", unit="", value=rounding or math.nan, reason=reason))
-    return rows
