@@ -9,8 +9,8 @@ from pathlib import Path
 import psutil
 
 from benchmarks.figure import Figure
-from undrift.study.figure3 import drawn_errors
-from undrift.study.plan import DEVICE, note_study
+from benchmarks.figure3 import drawn_errors
+from undrift.study.plan import note_study
 from undrift.study.run import run_device
 
 STUDY = "import sys; from undrift.cli.app import main; main(sys.argv[1:])"
@@ -44,10 +44,10 @@ def one_device() -> float:
 
 def drawn_unit() -> float:
     """Return the processor time for a drawn unit of Figure 3 after compilation, s, mean of two units."""
-    drawn_errors(DEVICE, 0, 12.5, 0)
+    drawn_errors(0, 0)
     start = time.process_time()
     for number in (1, 2):
-        drawn_errors(DEVICE, 0, 12.5, number)
+        drawn_errors(number, 0)
     return (time.process_time() - start) / 2.0
 
 

@@ -12,7 +12,8 @@ import numpy as np
 from scipy.stats import pearsonr
 
 from undrift.arrays import FloatArray
-from undrift.study.figure3 import COMPARED, Figure3, drawn_errors, figure3
+from undrift.sim.device.presets import random_device_of
+from undrift.study.figure3 import COMPARED, Figure3, compare_devices, figure3
 from undrift.study.plan import DEVICE
 from undrift.validation.agreement import mean_interval
 from undrift.validation.levels import NOTE_DIFFERENCE_DEG
@@ -45,6 +46,17 @@ def drawn_row(errors: FloatArray, k: int) -> str:
     return " | ".join((COMPARED[k], *spreads, within, over_time, over_units))
 
 
+def drawn_errors(number: int, seed: int) -> FloatArray:
+    """Return one drawn unit, (4, 5), for each of ``COMPARED``: largest pitch error simulated and actual and their largest
+    difference, deg, and their correlation.
+    """
+    device, person, *noise = (np.random.default_rng([seed, 3, number, part]) for part in range(6))
+    unit = random_device_of(DEVICE, device)
+    result = compare_devices(unit, person, noise[2:], noise[:2], excursion_k=EXCURSION_K)
+    largest = (result.simulated_max_deg, result.actual_max_deg, result.simulated_actual_max_deg)
+    return np.array((*largest, result.correlation))
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--units", type=int, default=30)
@@ -56,7 +68,7 @@ def main() -> int:
     print(
         f"\n{options.units} drawn: correction | simulated | actual | difference | within 0.15 deg | r over time | r over units"
     )
-    errors = np.array([drawn_errors(DEVICE, options.seed, EXCURSION_K, number) for number in range(options.units)])
+    errors = np.array([drawn_errors(number, options.seed) for number in range(options.units)])
     for k in range(len(COMPARED)):
         print(drawn_row(errors, k))
     return 0

@@ -13,7 +13,6 @@ TEXT = """
 [study]
 name = "small"
 subjects = 4
-subjects_max = 4
 target_deg = [0.8, 5.0]
 sessions = ["hand", "three rates", "three rates, warm"]
 [[task]]
@@ -44,7 +43,7 @@ def test_a_plan_comes_to_an_answer_a_page_and_a_protocol(undrift, plan, tmp_path
     low, high = task["sessions"][0]["single_deg"]
     assert low < task["sessions"][0]["mean_deg"] < high
     assert {effect["parameter"] for effect in task["effects"]} == {"cutoff_hz"}
-    assert set(task["made_of"]) == {"noise", "gyroscope offset", "accelerometer offset", "scale and axes", "delay"}
+    assert set(task["made_of"]) == {"noise", "gyroscope offset", "accelerometer offset", "scale and axes"}
     runs = pq.read_table(out / "runs.parquet").to_pandas()
     assert (runs["role"] == "session").sum() == 12
     for path in out.glob("session-*.toml"):

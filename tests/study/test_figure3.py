@@ -10,13 +10,11 @@ from testkit.data import show
 from undrift.errors import InputError
 from undrift.sim.device.effects import Sampling
 from undrift.sim.device.presets import preset
-from undrift.sim.device.truth import true_calibration, true_tables
 from undrift.study import figure3 as figure3_module
 from undrift.study.figure3 import (
     COMPARED,
     Figure3,
     actual_device,
-    drawn_errors,
     figure3,
     on_the_clock,
 )
@@ -71,23 +69,6 @@ def test_a_rest_before_the_motion_is_compared_and_beside_tables_it_takes_what_th
     # Noise of the mean over 5 s of rest, 0.01 deg/s, over 4 s; half the loop, 0.05 deg/s, which the rest takes, as much again.
     assert both < full + 0.04 + 0.05 * 4.0
     assert typical.simulated_max_deg[4] < typical.simulated_max_deg[3] < typical.simulated_max_deg[0]
-
-
-def test_drawn_units_have_an_error_of_both_devices_for_each_correction(monkeypatch: pytest.MonkeyPatch) -> None:
-    def known(device, *, rng, back):  # type: ignore[no-untyped-def]
-        calibration = true_calibration(device, temp_c=25.0)  # no thermal fit: what is tested is the cohort
-        return replace(calibration, drift=true_tables(device, np.array([20.0, 45.0]), np.radians([-200.0, 0.0, 200.0])))
-
-    monkeypatch.setattr(figure3_module, "calibrated", known)
-    monkeypatch.setattr(figure3_module, "WORN_S", 60.0)
-    errors = np.array([drawn_errors("enc03j_3031", 1, 12.5, number) for number in range(2)])
-    assert errors.shape == (2, 4, len(COMPARED))
-    simulated, actual, difference, correlation = errors.transpose(1, 0, 2)
-    none, _, _, rest, both = np.median(actual, axis=0)
-    assert max(rest, both) < none
-    assert (np.abs(simulated - actual) <= difference).all()
-    assert (np.abs(correlation) <= 1.0).all()
-    assert np.ptp(actual[:, 0]) > 0.0  # two units differ
 
 
 def test_errors_of_the_drift_are_correlated_and_noise_is_not_taken_for_it(typical: Figure3) -> None:

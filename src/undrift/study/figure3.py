@@ -20,6 +20,7 @@ The model of the study is a unit without some effects, and the actual device is 
     g_sensitivity   rate reading under specific force                        as the kind of device has it
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
@@ -32,7 +33,7 @@ from undrift.errors import InputError
 from undrift.model import Calibration
 from undrift.record import Record, Reference
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.device.presets import preset, random_device_of
+from undrift.sim.device.presets import preset
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.bench import BenchSettings
 from undrift.sim.motion.motion import after_rest
@@ -113,31 +114,32 @@ def figure3(
     unit: DeviceModel | None = None, *, seed: int = 0, excursion_k: float = 12.5, back: bool = False
 ) -> Figure3:
     """Make the note's Figure 3 with a unit, as the study models it and with the effects that this model lacks."""
-    chosen_unit = unit or preset("enc03j_3031")
     person = np.random.default_rng([seed, 0])
-    performed = draw_task("sit_to_stand", rng=person)
-    worn = performed, see(performed, rng=person, settings=OPTICS)
-
-    def judged(device: DeviceModel, stream: int) -> tuple[Trial, ...]:
-        rngs = (np.random.default_rng([seed, stream, part]) for part in range(2))
-        return _judged(device, worn, *rngs, excursion_k=excursion_k, back=back)
-
-    return _figure(judged(actual_device(chosen_unit, ()), 1), judged(actual_device(chosen_unit), 2), excursion_k)
+    simulated, actual = ([np.random.default_rng([seed, device, part]) for part in range(2)] for device in (1, 2))
+    unit = unit or preset("enc03j_3031")
+    return compare_devices(unit, person, simulated, actual, excursion_k=excursion_k, back=back)
 
 
-def _judged(
-    device: DeviceModel,
-    worn: tuple[Task, Reference],
-    sessions: np.random.Generator,
-    trial: np.random.Generator,
+def compare_devices(
+    unit: DeviceModel,
+    person: np.random.Generator,
+    simulated: Sequence[np.random.Generator],
+    actual: Sequence[np.random.Generator],
     *,
     excursion_k: float,
     back: bool = False,
-) -> tuple[Trial, ...]:
-    """Calibrate a device, wear it in a task that optics saw, and judge it for each of ``COMPARED``."""
-    full = calibrated(device, rng=sessions, back=back)
-    record = worn_record(device, worn[0], excursion_k=excursion_k, rng=trial)
-    return judge_compared(full, record, worn[1])
+) -> Figure3:
+    """Calibrate both devices, wear them in a task that optics saw, and compare them. Each has a generator for the sessions and one
+    for the trial.
+    """
+    performed = draw_task("sit_to_stand", rng=person)
+    reference = see(performed, rng=person, settings=OPTICS)
+
+    def judged(device: DeviceModel, sessions: np.random.Generator, trial: np.random.Generator) -> tuple[Trial, ...]:
+        full = calibrated(device, rng=sessions, back=back)
+        return judge_compared(full, worn_record(device, performed, excursion_k=excursion_k, rng=trial), reference)
+
+    return _figure(judged(actual_device(unit, ()), *simulated), judged(actual_device(unit), *actual), excursion_k)
 
 
 def judge_compared(full: Calibration, record: Record, reference: Reference) -> tuple[Trial, ...]:
@@ -172,23 +174,6 @@ def _figure(simulated: tuple[Trial, ...], actual: tuple[Trial, ...], excursion_k
         **errors,
         **{f"{name}_rms_deg": np.sqrt(np.nanmean(x**2, axis=-1)) for name, x in errors.items()},
         **{f"{name}_max_deg": np.nanmax(np.abs(x), axis=-1) for name, x in (errors | difference).items()},
-    )
-
-
-# ---- units drawn from the spread of a kind
-
-
-def drawn_errors(kind: str, seed: int, excursion_k: float, number: int) -> FloatArray:
-    """Return one drawn unit, (4, 5), for each of ``COMPARED``: largest pitch error simulated and actual and their largest
-    difference, deg, and their correlation."""
-    device, person, *noise = (np.random.default_rng([seed, 3, number, part]) for part in range(6))
-    unit, performed = random_device_of(kind, device), draw_task("sit_to_stand", rng=person)
-    worn = performed, see(performed, rng=person, settings=OPTICS)
-    actual = _judged(actual_device(unit), worn, *noise[:2], excursion_k=excursion_k)
-    simulated = _judged(actual_device(unit, ()), worn, *noise[2:], excursion_k=excursion_k)
-    figure = _figure(simulated, actual, excursion_k)
-    return np.array(
-        (figure.simulated_max_deg, figure.actual_max_deg, figure.simulated_actual_max_deg, figure.correlation)
     )
 
 
