@@ -25,12 +25,11 @@ from undrift.model import Calibration
 from undrift.record import Record, Reference
 from undrift.sim.device.presets import preset
 from undrift.sim.device.simulate import simulate_device
-from undrift.sim.motion.motion import after_rest
-from undrift.sim.motion.poses import fit_pose_spline, see
+from undrift.sim.motion.poses import see
 from undrift.sim.motion.tasks import draw_task
 from undrift.study.case import REST_S
 from undrift.study.figure3 import OPTICS, SETTLED_S, actual_device, calibrated, worn_record
-from undrift.study.recorded import SAMPLE_RATE_HZ, SKIN, read_poses, rest_of
+from undrift.study.recorded import SAMPLE_RATE_HZ, OwnMotion, read_motion
 from undrift.units import STANDARD_GRAVITY
 from undrift.validation.agreement import MOUNTING_ABOVE, validate_leave_one_out
 from undrift.validation.levels import LevelTable, LevelTrial, judge_levels
@@ -78,26 +77,19 @@ def captured(seed: int = 2) -> LevelTable:
     full = calibrated(device, rng=np.random.default_rng(seed), back=False)
     pairs = Pairs()
     for k, (file, *_) in enumerate(CAPTURES):
-        spline = fit_pose_spline(
-            read_poses(DATA / file, body="pelvis", markers=(), up="z" if "c3d" in file else "y"), SKIN
+        motion_of = OwnMotion(
+            path=str(DATA / file), body="pelvis", up="z" if "c3d" in file else "y", rest_s=REST_S, hold=True
         )
-        first, last = spline.pieces[0][:2]
-        time, before = (
-            first + np.arange(int((last - first) * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ,
-            round(REST_S * SAMPLE_RATE_HZ),
-        )
-        moving = spline.at(time, STANDARD_GRAVITY)
-        rest = rest_of(moving, moving.q_nb[:1]) | {"moving": np.zeros(1)}
-        moving = replace(moving, moving=np.ones(len(time)))
-        motion = after_rest(moving, rest, np.arange(before, 0, -1) / SAMPLE_RATE_HZ)
-        position = spline.position(time)
-        position = np.concatenate((np.repeat(position[:1], before, axis=0), position))
+        performed = read_motion(motion_of)
+        time = np.arange(int(performed.duration_s * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
+        motion = performed.at(time, STANDARD_GRAVITY)
+        first = performed.spline.span_s[0]
+        position = performed.spline.position(first + np.maximum(time - REST_S, 0.0))
         simulated = simulate_device(
             device, motion, rng=np.random.default_rng([5, k]), temp_c=ROOM_C + EXCURSION_K, power_on_s=SETTLED_S
         )
-        pairs.append(
-            (simulated.record, Reference(time=motion.time, q_nb=motion.q_nb, position=position, moving=motion.moving))
-        )
+        moving = (time >= REST_S).astype(float)
+        pairs.append((simulated.record, Reference(time=time, q_nb=motion.q_nb, position=position, moving=moving)))
     return _compared(pairs, [full] * len(pairs), [task for _, task, _ in CAPTURES], [who for *_, who in CAPTURES])
 
 

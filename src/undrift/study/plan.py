@@ -25,7 +25,7 @@ from undrift.sim.device.model import DeviceModel, device_from_json, device_json,
 from undrift.sim.device.presets import PRESETS, preset, preset_grade, random_device, without_assumed
 from undrift.sim.motion.tasks import CATEGORIES, DEFAULT, Category, Group, Kind, TaskName, category_tree
 from undrift.study.case import OffsetRule, stream
-from undrift.study.recorded import MotionEntry, OwnMotion, recorded_motion
+from undrift.study.recorded import MotionEntry, RecordedPeople, recorded_people
 from undrift.study.sessions import SESSIONS, CalibrationSession, Fit, table_protocol
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -80,7 +80,7 @@ class StudyTask:
 
     name: str  # sit_to_stand, step, posturography or free (any word for recorded people)
     category: str = DEFAULT  # of the people who perform it
-    motion: OwnMotion | None = None  # recorded people in place of the library's task
+    motion: RecordedPeople | None = None  # recorded people in place of the library's task
     around: NoteNumbers | None = None  # numbers around which others are tried
     values: tuple[tuple[Parameter, tuple[float, ...]], ...] = ()  # values to try, one parameter at a time
 
@@ -346,7 +346,7 @@ def read_study(path: str | Path) -> Study:
 def _task(entry: TaskEntry, folder: Path) -> StudyTask:
     if entry.motion is not None and entry.category:
         raise InputError(f"{entry.name}: recorded people have no category. Remove `category`.")
-    motion = None if entry.motion is None else recorded_motion(entry.motion, folder)
+    motion = None if entry.motion is None else recorded_people(entry.motion, folder)
     if entry.tried is None:
         return StudyTask(name=entry.name, motion=motion)
     lists = {name: getattr(entry.tried, name) for name in PARAMETERS}

@@ -1,7 +1,7 @@
 """Recorded people as a task of a study: poses of a device at L5 or on another segment, initial rest, and people in a table.
 
-A recorded motion must begin at rest. Three quantities of its first ``rest_s`` seconds are checked, with rates and accelerations as
-means over 0.25 s::
+A recorded motion must begin at rest. The body is at rest until one of three quantities exceeds its limit, with rates and
+accelerations as means over 0.25 s::
 
     w    |mean of w_b|                          turn rate of the body
     a    |mean of p''|                          acceleration of the body
@@ -9,16 +9,15 @@ means over 0.25 s::
 """
 
 import csv
-import hashlib
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Gt
 
-from undrift.arrays import FloatArray, window_sums
+from undrift.arrays import BoolArray, FloatArray, window_sums
 from undrift.base.codec import stored
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, rotate
@@ -44,24 +43,22 @@ class Posed:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OwnMotion(Posed):
-    """A recorded motion for all subjects, or motions of several people, each with another unit of the device."""
+    """A recorded motion of a person."""
 
     path: str  # file of poses or markers, which the workers read
-    sha256: str  # Of its content
-    rest_s: float  # duration of the rest at the beginning, s
+    rest_s: float | None = None  # rest at the beginning, s (by default it is detected, at most 6 s)
     hold: bool = False  # True to hold the first pose for ``rest_s``, if the recording has no rest
-    others: tuple["OwnMotion", ...] = ()  # Of further people
-    again: tuple["OwnMotion", ...] = ()  # Further trials of the same person
 
-    @property
-    def people(self) -> int:
-        """Number of recorded people."""
-        return 1 + len(self.others)
 
-    def of(self, number: int) -> tuple["OwnMotion", ...]:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordedPeople:
+    """Recorded motions of several people, each with another unit of the device, or of one person with all units."""
+
+    trials: tuple[tuple[OwnMotion, ...], ...]  # of each person
+
+    def of(self, number: int) -> tuple[OwnMotion, ...]:
         """Return the trials of a subject."""
-        person = (self, *self.others)[number % self.people]
-        return (person, *person.again)
+        return self.trials[number % len(self.trials)]
 
 
 # ---- recorded motions
@@ -79,49 +76,41 @@ SKIN = PoseSettings(
 )  # markers on skin do not follow the bone above these frequencies
 
 
-class RestQuality(NamedTuple):
-    """Motion of a body during its first poses."""
-
-    turn_rate: float  # largest rate, rad/s
-    acceleration: float  # largest acceleration, m/s2
-    tilt_error: float  # tilt error that a perfect device would make at the end, rad
-    still_s: float  # duration for which the body is at rest, s
-
-
-def measure_rest(spline: PoseSpline, rest_s: float) -> RestQuality:
-    """Measure turn rate, acceleration and tilt error of a body at the beginning of its poses."""
+def find_rest(spline: PoseSpline) -> BoolArray:
+    """Return for each sample whether the body was at rest from the first pose to it, (N,)."""
     start, stop = spline.span_s
-    count = int((stop - start) * SAMPLE_RATE_HZ)
-    motion = spline.at(start + np.arange(count) / SAMPLE_RATE_HZ, STANDARD_GRAVITY)
+    time = start + np.arange(int((stop - start) * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
+    motion = spline.at(time, STANDARD_GRAVITY)
     swing = rotate(motion.q_nb, motion.force_b) - np.array([0.0, 0.0, STANDARD_GRAVITY])
     up = rotate(quaternion_conjugate(motion.q_nb), np.array([0.0, 0.0, 1.0]))
     mean = np.cumsum(motion.force_b, axis=0)
     tilt = np.arctan2(np.linalg.norm(np.cross(mean, up), axis=1), (mean * up).sum(axis=1))
-    # largest values from the first pose to each sample
     rate, acceleration = (np.maximum.accumulate(_windowed(x)) for x in (motion.rate_b, swing))
-    is_still = (rate <= MOST_TURN_RATE) & (acceleration <= MOST_ACCELERATION) & (tilt <= MOST_TILT_ERROR)
-    last = min(round(rest_s * SAMPLE_RATE_HZ), count) - 1
+    is_still: BoolArray = (rate <= MOST_TURN_RATE) & (acceleration <= MOST_ACCELERATION) & (tilt <= MOST_TILT_ERROR)
+    return is_still
+
+
+def length_of_rest(is_still: BoolArray) -> float:
+    """Return the duration for which a body is at rest, rounded down to 0.1 s."""
     still_s = (int(np.flatnonzero(is_still)[-1]) + 1) / SAMPLE_RATE_HZ if is_still.any() else 0.0
-    return RestQuality(float(rate[last]), float(acceleration[last]), float(tilt[last]), still_s)
+    return float(np.floor(10.0 * still_s) / 10.0)
 
 
-def check_rest(spline: PoseSpline, rest_s: float, path: Path) -> None:
+def check_rest(is_still: BoolArray, rest_s: float, path: Path) -> None:
     """Raise InputError if a motion does not begin with a rest of the given duration."""
-    quality = measure_rest(spline, rest_s)
-    if (np.array(quality[:3]) <= (MOST_TURN_RATE, MOST_ACCELERATION, MOST_TILT_ERROR)).all():
+    if is_still[min(round(rest_s * SAMPLE_RATE_HZ), len(is_still)) - 1]:
         return
-    still_s = np.floor(10.0 * quality.still_s) / 10.0
+    still_s = length_of_rest(is_still)
     todo = (
         f"set rest_s = {still_s:g}"
         if still_s >= LEAST_REST_S
         else f"use a recording that begins with at least {LEAST_REST_S:g} s at rest, or set hold = true and rest_s = 6"
     )
     raise InputError(
-        f"{path}: the body must be at rest for the first rest_s = {rest_s:g} s, but it turns at up to "
-        f"{quality.turn_rate / RADIAN_PER_DEGREE:.3g} deg/s and accelerates by up to {quality.acceleration:.2g} m/s2 (at rest: "
-        f"{MOST_TURN_RATE / RADIAN_PER_DEGREE:g} and {MOST_ACCELERATION:g}). The initial tilt would be wrong by "
-        f"{quality.tilt_error / RADIAN_PER_DEGREE:.1f} deg. The body is still for {still_s:g} s. To continue, {todo}.",
-        **quality._asdict(),
+        f"{path}: the body must be at rest for the first rest_s = {rest_s:g} s: at most "
+        f"{MOST_TURN_RATE / RADIAN_PER_DEGREE:g} deg/s, {MOST_ACCELERATION:g} m/s2, and an error of the initial tilt of "
+        f"{MOST_TILT_ERROR / RADIAN_PER_DEGREE:g} deg. The body is still for {still_s:g} s. To continue, {todo}.",
+        still_s=still_s,
     )
 
 
@@ -150,33 +139,30 @@ class RecordedTask:
         """Return the motion at times (N,), s."""
         start = self.spline.span_s[0]
         motion = replace(self.spline.at(time - self.held_s + start, gravity_m_s2), time=time)
-        if self.held_s == 0.0:
+        held = time < self.held_s
+        if not held.any():
             return motion
-        rest_values = rest_of(motion, self.spline.at(np.array([start]), gravity_m_s2).q_nb)
-        rest_values |= {"moving": np.zeros(1), "valid": np.ones(1)}
-        values: dict[str, Any] = {name: np.array(getattr(motion, name)) for name in rest_values}
-        for name, row in rest_values.items():
-            values[name][time < self.held_s] = row
-        return replace(motion, **values)
+        q_nb = self.spline.at(np.array([start]), gravity_m_s2).q_nb
+        vectors = {"rate_b": np.zeros(3), "mean_rate_b": np.zeros(3), "angular_acceleration_b": np.zeros(3)}
+        vectors |= {"q_nb": q_nb, "force_b": rotate(quaternion_conjugate(q_nb), np.array([0.0, 0.0, gravity_m_s2]))}
+        at_rest = {name: np.where(held[:, None], row, getattr(motion, name)) for name, row in vectors.items()}
+        at_rest |= {name: np.where(held, label, getattr(motion, name)) for name, label in LABELS_AT_REST.items()}
+        return replace(motion, **at_rest)
 
 
-def rest_of(motion: Motion, q_nb: FloatArray) -> dict[str, FloatArray]:
-    """Return a row of a motion for a rest in a pose (1, 4), by the fields of a motion."""
-    still = np.zeros((1, 3))
-    up = rotate(quaternion_conjugate(q_nb), np.array([0.0, 0.0, motion.gravity_m_s2]))
-    turning = {} if motion.angular_acceleration_b is None else {"angular_acceleration_b": still}
-    return {"q_nb": q_nb, "rate_b": still, "mean_rate_b": still, "force_b": up} | turning
+LABELS_AT_REST = {"moving": 0.0, "valid": 1.0}
 
 
 @lru_cache(maxsize=4)
 def read_motion(motion: OwnMotion) -> RecordedTask:
     """Read a recorded motion. Raise InputError if it does not begin with its rest."""
-    path, rest_s = Path(motion.path), motion.rest_s
-    if sha256_of(path) != motion.sha256:
-        raise InputError(f"{path}: the file has changed since the study began. Start a new study.")
+    path = Path(motion.path)
     reference = read_poses(path, motion)
     spline = fit_pose_spline(reference, SKIN if motion.body else PoseSettings())
     length = spline.span_s[1] - spline.span_s[0]
+    is_still = np.zeros(1, dtype=bool) if motion.hold else find_rest(spline)
+    detected_s = LONGEST_REST_S if motion.hold else min(max(length_of_rest(is_still), LEAST_REST_S), LONGEST_REST_S)
+    rest_s = detected_s if motion.rest_s is None else motion.rest_s
     problem = ""
     if reference.position is None:
         problem = "the poses have no positions, which the simulation of accelerometers requires"
@@ -191,7 +177,7 @@ def read_motion(motion: OwnMotion) -> RecordedTask:
         raise InputError(f"{path}: {problem}.")
     if motion.hold:
         return RecordedTask(spline=spline, moving_s=(rest_s, rest_s + length), held_s=rest_s)
-    check_rest(spline, rest_s, path)
+    check_rest(is_still, rest_s, path)
     return RecordedTask(spline=spline, moving_s=(rest_s, length))
 
 
@@ -207,14 +193,6 @@ def read_poses(path: Path, how: Posed) -> Reference:
     return device_on(find_body(read_markers(path, up=how.up), how.body), offset_b=offset)
 
 
-def sha256_of(path: Path) -> str:
-    """Return the sha256 of a file."""
-    try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
-    except OSError as error:
-        raise InputError(f"{path}: cannot read the pose or marker file ({error.strerror}). Check the path.") from error
-
-
 @stored()
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotionEntry(Posed):
@@ -222,68 +200,46 @@ class MotionEntry(Posed):
 
     file: str = ""  # file of poses or markers, relative to study.toml
     folder: str = ""  # alternative: folder with one file per person
-    # alternative: CSV table with columns file (relative to the table), person (one or more files each) and label
-    table: str = ""
-    label: str = ""  # use only the rows of the table with this label
+    table: str = (
+        ""  # alternative: CSV table with columns file (relative to the table) and person (one or more files each)
+    )
     rest_s: Positive | None = None  # rest at the start, s (by default it is detected, at most 6 s)
     hold: bool = False  # hold the first pose for ``rest_s`` if a recording has no rest
 
 
-def recorded_motion(entry: MotionEntry, folder: Path) -> OwnMotion:
-    """Return the recorded motion of a plan. Each file is read, so that errors are raised before the workers start."""
+def recorded_people(entry: MotionEntry, folder: Path) -> RecordedPeople:
+    """Return the recorded people of a plan. Each file is read, so that errors are raised before the workers start."""
     sources = [name for name in ("file", "folder", "table") if getattr(entry, name)]
-    if len(sources) != 1 or (entry.label and not entry.table):
-        got = " and ".join([*sources, *["label"] * bool(entry.label)]) or "none"
+    if len(sources) != 1:
         raise InputError(
-            "task.motion: a file, a folder with a file per person, or a table of files and people (optionally with a label) is "
-            f"required, got {got}. Set one of them."
+            "task.motion: a file, a folder with a file per person, or a table of files and people is required, got "
+            f"{' and '.join(sources) or 'none'}. Set one of them."
         )
     path = folder / str(getattr(entry, sources[0]))
     try:
         files = sorted(file for file in path.iterdir() if file.is_file()) if entry.folder else [path]
-        trials = _trials_in(path, entry.label) if entry.table else [[file] for file in files]
+        people = _people_in(path) if entry.table else [[file] for file in files]
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot read the {sources[0]} of recorded people ({error}).") from error
-    if len(trials) < 3 and not entry.file:
-        raise InputError(f"{path}: at least three people are required, got {len(trials)}. Record more people.")
-    common = {item.name: getattr(entry, item.name) for item in fields(OwnMotion) if hasattr(entry, item.name)}
-    people = []
-    for files in trials:
-        paths = [file.resolve() for file in files]
-        first, *again = (
-            OwnMotion(path=str(p), sha256=sha256_of(p), **common | {"rest_s": _rest_in(p, entry)}) for p in paths
-        )
-        for motion in (first, *again):
-            read_motion(motion)
-        people.append(replace(first, again=tuple(again)))
-    return replace(people[0], others=tuple(people[1:]))
+    if len(people) < 3 and not entry.file:
+        raise InputError(f"{path}: at least three people are required, got {len(people)}. Record more people.")
+    how = {"markers": entry.markers, "body": entry.body, "up": entry.up, "rest_s": entry.rest_s, "hold": entry.hold}
+    trials = tuple(tuple(OwnMotion(path=str(file.resolve()), **how) for file in files) for files in people)
+    for motion in (motion for person in trials for motion in person):
+        read_motion(motion)
+    return RecordedPeople(trials=trials)
 
 
-def _trials_in(path: Path, label: str) -> list[list[Path]]:
-    """Return the files of each person in a table, from all rows or from the rows with a label."""
-    rows = list(csv.DictReader(path.read_text("utf-8-sig").splitlines(), skipinitialspace=True))
-    columns, people, files = ["file", "person", *["label"] * bool(label)], dict[str, list[Path]](), set[str]()
-    for line, row in enumerate(rows, 2):
-        if missing := [name for name in columns if not row.get(name)]:
+def _people_in(path: Path) -> list[list[Path]]:
+    """Return the files of each person in a table."""
+    people, files = dict[str, list[Path]](), set[str]()
+    for line, row in enumerate(csv.DictReader(path.read_text("utf-8-sig").splitlines(), skipinitialspace=True), 2):
+        if missing := [name for name in ("file", "person") if not row.get(name)]:
             raise InputError(
-                f"{path}: {', '.join(columns)} are required in each row, got no {missing[0]} in line {line}. Add it."
+                f"{path}: file and person are required in each row, got no {missing[0]} in line {line}. Add it."
             )
         if row["file"] in files:
             raise InputError(f"{path}: {row['file']} is listed again in line {line}. Delete a line.")
         files.add(row["file"])
-        if not label or row["label"] == label:
-            people.setdefault(row["person"], []).append(path.parent / row["file"])
-    if rows and not people:
-        labels = ", ".join(dict.fromkeys(row["label"] for row in rows))
-        raise InputError(f"{path}: no row has the label {label}. Use one of {labels}.")
+        people.setdefault(row["person"], []).append(path.parent / row["file"])
     return list(people.values())
-
-
-def _rest_in(path: Path, entry: MotionEntry) -> float:
-    """Return the rest in the entry or, by default, the detected rest at the start of a recording, s."""
-    if entry.rest_s is not None or entry.hold:
-        return entry.rest_s or LONGEST_REST_S
-    reference = read_poses(path, entry)
-    spline = fit_pose_spline(reference, SKIN if entry.body else PoseSettings())
-    still_s = float(np.floor(10.0 * measure_rest(spline, LEAST_REST_S).still_s) / 10.0)
-    return min(max(still_s, LEAST_REST_S), LONGEST_REST_S)  # read_motion raises an error if it is too short

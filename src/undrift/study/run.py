@@ -254,8 +254,8 @@ def run_study(
     study: Study, spread: Callable[..., Iterator[Any]], advance: Callable[[int, int], None] = lambda done, total: None
 ) -> list[Run]:
     """Run every device of a study."""
-    people = [task.motion.people for task in study.tasks if task.motion is not None and task.motion.others]
-    count = min(study.subjects, *people) if people else study.subjects  # no person counts twice
+    people = [len(task.motion.trials) for task in study.tasks if task.motion is not None]
+    count = min([study.subjects, *(number for number in people if number > 1)])  # none of several people counts twice
     runs = list[Run]()
     for done, made in enumerate(spread(partial(run_device, study), range(count)), 1):
         runs += made
