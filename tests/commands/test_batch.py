@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from testkit.command_line import contents
 from undrift.commands import batch
 from undrift.io.formats import read_record, write_record
 from undrift.record import Record
@@ -113,24 +112,6 @@ def test_what_an_interrupted_call_did_stands(undrift, bench, folder, tmp_path, m
     assert undrift(*words, "--json").json()["standing"] == 1
 
 
-def test_validate_takes_the_reference_of_a_recordings_name_from_a_folder(undrift, bench, tmp_path):
-    (tmp_path / "in").mkdir()
-    (tmp_path / "optics").mkdir()
-    for name in ("a", "b"):
-        shutil.copy(bench / "trial.parquet", tmp_path / "in" / f"{name}.parquet")
-    shutil.copy(bench / "reference.parquet", tmp_path / "optics" / "a.parquet")
-    optics = ("--reference", tmp_path / "optics")
-    answer = undrift(
-        "validate", tmp_path / "in", "--calibration", bench / "calibration.json", *optics, "-o", tmp_path / "out"
-    )
-    assert answer.code == 1
-    assert "b.parquet: expected one reference of its name" in answer.out
-    rows = rows_of(tmp_path / "out")
-    assert rows["a.parquet"]["error"] == ""
-    assert "deg calibrated with calibration.json" in rows["a.parquet"]["summary"]
-    assert {"report.html", "validation.json"} <= set(contents(tmp_path / "out" / "a"))
-
-
 @pytest.mark.slow
 def test_folders_in_a_folder_are_looked_into_but_for_those_of_results_and_links_back(undrift, bench, folder, tmp_path):
     for person in ("p1", "p2"):
@@ -151,12 +132,6 @@ def test_folders_in_a_folder_are_looked_into_but_for_those_of_results_and_links_
     undrift.good("correct", folder / "sub", *words[2:4], "-o", tmp_path / "corrected")
     named = undrift.good("orient", tmp_path / "corrected", "-o", tmp_path / "angles").out
     assert "2 of 2 done, 0 with an error" in named  # of what such a call wrote, where it is named
-    (tmp_path / "optics" / "sub" / "p1").mkdir(parents=True)
-    shutil.copy(bench / "reference.parquet", tmp_path / "optics" / "sub" / "p1" / "walk.parquet")
-    words = ("validate", folder / "sub", "--calibration", bench / "calibration.json", "--reference")
-    answer = undrift(*words, tmp_path / "optics" / "sub", "--json").json()
-    assert [bool(file["error"]) for file in answer["files"]] == [False, True]
-    assert "expected one reference of its name in" in answer["files"][1]["error"]
 
 
 @pytest.mark.parametrize(
@@ -166,7 +141,7 @@ def test_a_wrong_calibration_is_one_error_and_not_one_of_each_file(undrift, fold
     wrong = tmp_path / "wrong.json"
     if content is not None:
         wrong.write_text(content)
-    for command in ("orient", "validate", "correct"):
+    for command in ("orient", "correct"):
         error = undrift.refused(command, folder, "--calibration", wrong, "-o", tmp_path / "out")
         assert f"{wrong}: " in error
         assert not list((tmp_path / "out").glob("*")) or not (tmp_path / "out").exists()
@@ -197,13 +172,8 @@ def test_what_a_folder_refuses(undrift, bench, folder, tmp_path):
     assert "got an empty folder" in undrift.refused("orient", tmp_path / "empty", "-o", tmp_path / "out")
     (tmp_path / "empty" / "SOURCE.md").write_text("# Trials\n")
     assert "got 1 entries that are none" in undrift.refused("orient", tmp_path / "empty", "-o", tmp_path / "out")
-    for more in (
-        ("info", "--write-map", "map.toml"),
-        ("validate", "--calibrate-from", "reference"),
-    ):
-        assert f"{more[1]}: expected a recording or a session, got the folder" in undrift.refused(
-            more[0], folder, *more[1:]
-        )
+    error = undrift.refused("info", folder, "--write-map", "map.toml")
+    assert "--write-map: expected a recording or a session, got the folder" in error
     assert "Omit --output" in undrift.refused("info", folder / "walk.parquet", "-o", tmp_path / "out")
 
 

@@ -36,7 +36,6 @@ FOLDER = {"kind": "folder", "format": "folder", "gaps": 0} | dict.fromkeys(
     ("rows", "sample_rate_hz", "duration_s", "temp_c")
 )
 Row: TypeAlias = dict[str, Any]
-Settle: TypeAlias = Callable[[Path, Path, Row], Row]
 EMPTY: Row = dict.fromkeys(("name", "kind", "summary", "verdict", "worst_finding", "error", "key"), "") | dict.fromkeys(
     ("sample_rate_hz", "gaps", "output")
 )
@@ -112,35 +111,25 @@ class FolderTable(Result):
         )
 
 
-def of_folder(
-    ending: str | None,
-    settle: Settle = lambda file, place, stated: stated,
-    *,
-    alone: tuple[str, ...] = (),
-    whole: tuple[str, ...] = (),
-) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def of_folder(ending: str | None, *, alone: tuple[str, ...] = ()) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Let a command accept a folder of recordings instead of a recording. Outputs are NAME and the ending. With None,
     nothing is written.
 
-    ``settle`` returns the options of a file from its path in the folder and the options for all. ``alone`` names
-    options that apply to a single recording only. With an option in ``whole``, the command processes the folder itself.
+    ``alone`` names options that apply to a single recording only.
     """
-
-    def are_given(names: tuple[str, ...], options: dict[str, Any]) -> list[str]:
-        values = (SimpleNamespace(**options), *options.values())
-        return [name for name in names if any(getattr(value, name, None) for value in values)]
 
     def of(function: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(function)
         def called(*given: Any, **stated: Any) -> Any:
-            if len(given) != 1 or not is_plain_folder(given[0]) or are_given(whole, stated):
+            if len(given) != 1 or not is_plain_folder(given[0]):
                 return function(*given, **stated)
-            for name in are_given(alone, stated):
+            values = (SimpleNamespace(**stated), *stated.values())
+            if names := [name for name in alone if any(getattr(value, name, None) for value in values)]:
                 raise InputError(
-                    f"`{name}`: expected a recording or a session, got the folder {given[0]}. Name the files in it."
+                    f"`{names[0]}`: expected a recording or a session, got the folder {given[0]}. Name the files in it."
                 )
             output, progress = stated.pop("output", None), stated.pop("progress", silent)
-            job = _Job(function=function, ending=ending, settle=settle, stated=stated, output=output)
+            job = _Job(function=function, ending=ending, stated=stated, output=output)
             return job.run(given[0], progress)
 
         return called
@@ -182,7 +171,6 @@ class _Job:
 
     function: Callable[..., Any]
     ending: str | None
-    settle: Settle
     stated: Row
     output: Path | None
 
@@ -234,7 +222,7 @@ class _Job:
             self.function.__name__,
         )
         try:
-            options = self.settle(file, place, dict(self.stated))
+            options = dict(self.stated)
             row["key"] = _key(command, file, options)
             if self.output is not None and self.ending is not None:
                 options["output"] = self.output / f"{name}{self.ending}"

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Literal
 from undrift.base.options import Files, Flag, OptionalOutput, Side, verb
 from undrift.base.summary import Result, Section, Summary, at, figure_of
 from undrift.commands import Progress, part_of, reading, silent
-from undrift.commands.batch import is_plain_folder, of_folder
 from undrift.commands.calibration_file import choose_calibration
 from undrift.commands.files import (
     Opening,
@@ -189,22 +188,7 @@ class Validated(Result):
         return Section(title="Recordings", columns=heads, rows=tuple(rows), on="page")
 
 
-def _with_reference(record: Path, place: Path, stated: dict[str, Any]) -> dict[str, Any]:
-    """Return the options for one recording of a folder: its reference is that of its name in the folder of references."""
-    optics = stated.get("optics", Optics())
-    if len(optics.reference) == 1 and is_plain_folder(optics.reference[0]):
-        folder = optics.reference[0] / place.parent
-        same = [path for path in sorted(folder.glob("*")) if name_of(path) == name_of(record)]
-        if len(same) != 1:
-            raise InputError(
-                f"{record}: expected one reference of its name in {folder}, got {len(same)}. Give it that name."
-            )
-        return stated | {"optics": replace(optics, reference=(same[0],))}
-    return stated
-
-
 @verb
-@of_folder("", _with_reference, alone=("calibrate_from",), whole=("trials",))
 def validate(
     *records: Files,
     optics: Optics = Optics(),
@@ -226,8 +210,7 @@ def validate(
     Parameters
     ----------
     records : Path
-        One or more recordings, one folder with session.toml, or a folder of recordings. Each recording of a folder is compared by
-        itself, with the reference of its name in a folder of references.
+        One or more recordings, one folder with session.toml, or with --trials the folder of the table.
     optics : Optics
         The reference of each recording.
     calibration : Path or None
