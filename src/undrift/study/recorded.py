@@ -12,7 +12,7 @@ import csv
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from annotated_types import Gt
@@ -143,14 +143,13 @@ class RecordedTask:
         if not held.any():
             return motion
         q_nb = self.spline.at(np.array([start]), gravity_m_s2).q_nb
-        vectors = {"rate_b": np.zeros(3), "mean_rate_b": np.zeros(3), "angular_acceleration_b": np.zeros(3)}
-        vectors |= {"q_nb": q_nb, "force_b": rotate(quaternion_conjugate(q_nb), np.array([0.0, 0.0, gravity_m_s2]))}
-        at_rest = {name: np.where(held[:, None], row, getattr(motion, name)) for name, row in vectors.items()}
-        at_rest |= {name: np.where(held, label, getattr(motion, name)) for name, label in LABELS_AT_REST.items()}
+        still, up = np.zeros(3), rotate(quaternion_conjugate(q_nb), np.array([0.0, 0.0, gravity_m_s2]))
+        vectors = {"q_nb": q_nb, "rate_b": still, "mean_rate_b": still, "force_b": up, "angular_acceleration_b": still}
+        at_rest: dict[str, Any] = {
+            name: np.where(held[:, None], row, getattr(motion, name)) for name, row in vectors.items()
+        }
+        at_rest |= {"moving": motion.moving * ~held, "valid": np.where(held, 1.0, motion.valid)}
         return replace(motion, **at_rest)
-
-
-LABELS_AT_REST = {"moving": 0.0, "valid": 1.0}
 
 
 @lru_cache(maxsize=4)
@@ -223,7 +222,13 @@ def recorded_people(entry: MotionEntry, folder: Path) -> RecordedPeople:
         raise InputError(f"{path}: cannot read the {sources[0]} of recorded people ({error}).") from error
     if len(people) < 3 and not entry.file:
         raise InputError(f"{path}: at least three people are required, got {len(people)}. Record more people.")
-    how = {"markers": entry.markers, "body": entry.body, "up": entry.up, "rest_s": entry.rest_s, "hold": entry.hold}
+    how: dict[str, Any] = {
+        "markers": entry.markers,
+        "body": entry.body,
+        "up": entry.up,
+        "rest_s": entry.rest_s,
+        "hold": entry.hold,
+    }
     trials = tuple(tuple(OwnMotion(path=str(file.resolve()), **how) for file in files) for files in people)
     for motion in (motion for person in trials for motion in person):
         read_motion(motion)
