@@ -187,7 +187,7 @@ def test_rests_on_a_table_are_no_level_faces_where_a_plate_shows_all_six():
 
 def test_without_accelerometers_the_mounting_stays_in_the_covariance_in_full():
     _, session = turned()
-    found = axes_of(session, RateTable(mount_tilt_deg=0.3, rate_uncertainty=2e-4), None)
+    found = axes_of(session, RateTable(mount_tilt_deg=0.3, rate_uncertainty=2e-4, wobble_deg=0.0), None)
     np.testing.assert_array_equal(found.direction, [unit_vector(turn.axis) for turn in session.turns])
     np.testing.assert_allclose(sigma_of(found, session), 0.3 * DEG, rtol=1e-9)
     assert found.rate == 2e-4
@@ -200,7 +200,9 @@ def test_a_gap_in_the_gyroscope_leaves_a_block_unmeasured():
     first = session.turns[0]
     gyro[first.stop + 3] = np.nan  # in the ramp, between two dwells about x
     gap = Record(time=record.time, gyro=gyro, accel=record.accel, gyro_unit="count", accel_unit="count")
-    sigma = sigma_of(axes_of(session, RateTable(mount_tilt_deg=5.0), true_accel(device), records=(gap,)), session)
+    sigma = sigma_of(
+        axes_of(session, RateTable(mount_tilt_deg=5.0, wobble_deg=0.0), true_accel(device), records=(gap,)), session
+    )
     about_x = np.array([turn.axis == "x" for turn in session.turns])
     np.testing.assert_allclose(sigma[about_x], 5.0 * DEG)
     assert (sigma[~about_x] < 0.5 * DEG).all()

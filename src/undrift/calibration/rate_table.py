@@ -176,9 +176,9 @@ def _sources(dwells: DwellMeans, rates: FloatArray, matrix: FloatArray) -> dict[
         sources["instability"] = gyro_drift(dwells.span)
     if axes is not None:
         tilts = (axes.columns * dwells.turn_rate[:, None, None]).reshape(3 * count, -1)
-        common, wobble = axes.rate * rates.ravel(), axes.wobble * _rate_across(dwells)
+        common = axes.rate * rates.ravel()
         sources["rate"] = np.outer(common, common)
-        sources["mounting"] = tilts @ tilts.T + np.diag(wobble**2)
+        sources["mounting"] = tilts @ tilts.T
     return sources
 
 

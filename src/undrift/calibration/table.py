@@ -41,7 +41,6 @@ class TableAxes:
     columns: FloatArray  # (N, 3, C), errors of ``direction`` from C independent causes, one standard deviation each
     ripple: FloatArray  # (N, N), covariance of the relative rates by a ripple of unit amplitude
     rate: float  # relative standard uncertainty common to all given rates
-    wobble: float  # standard uncertainty of the axis from dwell to dwell, rad
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -241,6 +240,7 @@ def table_axes(
         k, gravity = int(axis[rows[0]]), float(gravity_m_s2 * up[rows].mean())
         level_axes = [(k + 1) % 3, (k + 2) % 3]
         place, root = np.ix_(rows, level_axes), table.mount_tilt_deg * RADIAN_PER_DEGREE * np.eye(2)
+        wobble = table.wobble_deg * RADIAN_PER_DEGREE * np.eye(len(rows))
         if accel is not None and abs(gravity) == gravity_m_s2:
             parts = [
                 _force_in_dwell(records[turns[n].recording], turns[n], azimuths[n], accel, level_axes, settle_s)
@@ -254,11 +254,14 @@ def table_axes(
                 # all dwells measure the same gravity, with the same rounding error
                 codes = accel.matrix[level_axes] / gravity * np.nan_to_num(mean_rounding(readings, windows))
                 direction[place], root = tilt, np.hstack((np.linalg.cholesky(covariance), codes))
+                wobble -= wobble.mean(axis=0)  # the tilt is the mean over these dwells, wobble included
                 reading = np.linalg.solve(accel.matrix, np.eye(3)[k])  # in g, minus the offset
                 slopes = np.hstack((np.kron(np.eye(3), reading), -accel.matrix / gravity))
                 accel_columns[place] = slopes[level_axes]
         columns.append(np.zeros((count, 3, root.shape[1])))
         columns[-1][place] = root
+        columns.append(np.zeros((count, 3, 2 * len(rows))))
+        columns[-1][place] = np.kron(np.eye(2), wobble).reshape(2, len(rows), -1).transpose(1, 0, 2)
     if accel is not None:
         variance, vectors = np.linalg.eigh(accel.covariance[:12, :12])
         columns.append(accel_columns @ (vectors * np.sqrt(variance.clip(0.0))))
@@ -267,7 +270,6 @@ def table_axes(
         columns=np.concatenate(columns, axis=2),
         ripple=_ripple(records, turns, mounting, azimuths, settle_s),
         rate=table.rate_uncertainty,
-        wobble=table.wobble_deg * RADIAN_PER_DEGREE,
     )
 
 
@@ -326,26 +328,29 @@ def _force_in_dwell(
 def _tilt_by_gravity(
     parts: list[FloatArray], turn_rate: FloatArray, recordings: list[int], table: RateTable, gravity: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return d (2,) of a mounting and its covariance (2, 2), from the blocks of each dwell."""
+    """Return d (2,) of a mounting from the blocks of each dwell, and its covariance (2, 2) without the mean of their wobble."""
     from scipy.linalg import block_diag
 
-    levels, designs, wobbles = sorted(set(recordings)), list[FloatArray](), list[FloatArray]()
+    levels, designs, axes, plates = sorted(set(recordings)), list[FloatArray](), list[FloatArray](), list[FloatArray]()
     for part, rate, recording in zip(parts, turn_rate, recordings, strict=True):
         turned = np.stack((part[:, [0, 1]], part[:, [1, 0]] * [-1.0, 1.0]), axis=1)  # R_k(-psi)
         ones = np.tile(np.eye(2), (len(part), 1, 1))
         level = [turned * (recording == other) for other in levels]
         designs.append(np.concatenate((ones, rate**2 / gravity * ones, *level), axis=2).reshape(2 * len(part), -1))
-        wobble = np.concatenate((ones, turned), axis=2).reshape(-1, 4)
-        wobbles.append(wobble @ wobble.T)
+        # a wobble tilts the axis in the case, and the plate in the table's frame
+        for shapes, columns in ((axes, ones), (plates, turned)):
+            shapes.append(columns.reshape(-1, 2) @ columns.reshape(-1, 2).T)
     force = np.concatenate([part[:, 2:].ravel() for part in parts]) / gravity
     level_sd = max(table.table_level_deg * RADIAN_PER_DEGREE, MIN_TILT_SD)
     sizes = np.repeat([TABLE_MOUNTING, TABLE_ARM, level_sd], [2, 2, 2 * len(levels)])
-    shape = block_diag(*wobbles)
+    axis, plate = block_diag(*axes), block_diag(*plates)
+    wobble = (table.wobble_deg * RADIAN_PER_DEGREE) ** 2
     fit = solve(
         np.vstack(designs),
         force,
-        {"noise": np.full(len(force), MIN_TILT_SD**2), "wobble": (table.wobble_deg * RADIAN_PER_DEGREE) ** 2 * shape},
-        excess={"noise": np.ones(len(force)), "wobble": shape},
+        {"noise": np.full(len(force), MIN_TILT_SD**2), "axis": wobble * axis, "plate": wobble * plate},
+        excess={"noise": np.ones(len(force)), "plate wobble": axis + plate},
         prior=Prior(mean=np.zeros(len(sizes)), precision=np.diag(sizes**-2)),
     )
-    return fit.theta[:2], fit.covariance[:2, :2] + (ACCEL_FLICKER / gravity) ** 2 * np.eye(2)
+    covariance = (fit.covariance - fit.budget["axis"])[:2, :2]
+    return fit.theta[:2], covariance + (ACCEL_FLICKER / gravity) ** 2 * np.eye(2)
