@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from testkit.rig_bench import SHORT
+from testkit.rig_bench import SHORT, FaultyBench
 from undrift.base.clock import PacedClock
 from undrift.calibration.calibrate import calibrate
 from undrift.errors import LinkError, RigError, RigFault, RigTimeout
@@ -84,7 +84,7 @@ def test_a_chamber_soaks_and_the_board_follows(tmp_path):
 )
 @pytest.mark.parametrize("phase", ["ramping", "dwelling"])
 def test_a_fault_ends_at_rest_and_a_resume_completes(tmp_path, fault, error, message, phase):
-    bench = SimulatedBench(DEVICE)
+    bench = FaultyBench(DEVICE)
 
     def strike(progress):
         if progress.phase == phase and progress.number == 4:
@@ -101,7 +101,7 @@ def test_a_fault_ends_at_rest_and_a_resume_completes(tmp_path, fault, error, mes
 
 
 def test_a_wrong_face_is_seen_and_mounted_again(tmp_path, caplog):
-    bench = SimulatedBench(DEVICE)
+    bench = FaultyBench(DEVICE)
 
     struck = []
 

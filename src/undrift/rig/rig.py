@@ -134,9 +134,8 @@ class Position:
     """Angle of the axis at a time."""
 
     angle: float  # rad
-    time: float  # host's monotonic clock, s (use differences only, since a controller's clock may contribute)
-    # largest error of the time, s: half of the round trip, or half a tick of the controller's clock
-    within_s: float = 0.0
+    time: float  # clock of the table, s (use differences only)
+    within_s: float = 0.0  # largest error of the time, s: half of the round trip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -196,7 +195,6 @@ class Achieved:
 
     turn_rate: float  # rad/s
     uncertainty: float  # standard uncertainty, rad/s
-    between_ends: float  # mean rate between the first and the last position, rad/s
     # largest deviation from steady motion that the delays of the link cannot explain, rad
     misfit: float
     span_s: float  # time from the first position to the last, s
@@ -206,11 +204,10 @@ class Achieved:
 def achieved_turn_rate(positions: Sequence[Position]) -> Achieved:
     """Return the mean rate over a dwell: the slope of a weighted least-squares line through (t_i, phi_i), weights 1 / d^2.
 
-    The time of a position is uncertain by d, the round trip of the link or a tick of the controller's clock. Half the median d is
-    added in quadrature, so that a few quick answers do not dominate the fit. With S = sum w (t - tm)^2 and r = sum w residual^2,
-    the standard uncertainty is sqrt(r / ((n - 2) S)). It includes counts and delays, and every other error increases it. Two other
-    numbers therefore test if the table turned steadily. The first is the misfit, max |residual_i| - |slope| (d_i + median d). The
-    second is the rate between the first and the last position.
+    The time of a position is uncertain by d, the round trip of the link. Half the median d is added in quadrature, so that a few
+    quick answers do not dominate the fit. With S = sum w (t - tm)^2 and r = sum w residual^2, the standard uncertainty is
+    sqrt(r / ((n - 2) S)). It includes counts and delays, and every other error increases it. The misfit,
+    max |residual_i| - |slope| (d_i + median d), therefore tests if the table turned steadily.
     """
     if len(positions) < 3:
         raise InputError(
@@ -233,7 +230,6 @@ def achieved_turn_rate(positions: Sequence[Position]) -> Achieved:
     return Achieved(
         turn_rate=slope,
         uncertainty=float(np.sqrt(spread)),
-        between_ends=float((angle[-1] - angle[0]) / (time[-1] - time[0])),
         misfit=max(0.0, float(beyond.max())),
         span_s=float(time[-1] - time[0]),
         delay_s=float(max(np.median(delay), delay[0], delay[-1])),

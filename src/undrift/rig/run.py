@@ -24,7 +24,6 @@ from undrift.rig.judge import (
     Disturbed,
     RestCheck,
     RunSettings,
-    check_board,
     check_delays,
     check_rate,
     check_readings,
@@ -258,8 +257,6 @@ class _Run:
             if turning:
                 check_delays(achieved, late_s, settings, self._where)
             check_rate(achieved, set_rate, settings, self._where)
-            if step.temp_c is not None and self._chamber is not None:
-                check_board(record, self._chamber.criterion.tolerance_c, self._where)
             missing = check_readings(record, step.dwell_s, settings, self._where)
             self._rests.check(step, record, self._where)
         except (Disturbed, RigTimeout) as error:

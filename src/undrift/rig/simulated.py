@@ -21,7 +21,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
 from undrift.base.clock import Clock, PacedClock
-from undrift.errors import InputError, LinkError, RigFault, RigTimeout, check_positive
+from undrift.errors import InputError, RigFault, RigTimeout, check_positive
 from undrift.record import FACES, Face, Record
 from undrift.rig.chamber import Chamber, ChamberSetup
 from undrift.rig.rig import (
@@ -123,15 +123,7 @@ class SimulatedSettings:
 
 
 class SimulatedBench:
-    """A bench that also mounts its device. ``table`` is a Rig, ``chamber`` a Chamber, and ``readings`` are of its device.
-
-    ``faults`` contains the active faults:
-
-    - ``stall``: The amplifier fails. The controller switches the motor off, and the table coasts to rest.
-    - ``lost_readings``: Two of every three readings of the device are lost.
-    - ``wrong_face``: The operator mounts the opposite face, once.
-    - ``power_cut``: Nothing answers, and the table coasts to rest.
-    """
+    """A bench that also mounts its device. ``table`` is a Rig, ``chamber`` a Chamber, and ``readings`` are of its device."""
 
     def __init__(
         self,
@@ -140,7 +132,6 @@ class SimulatedBench:
         clock: Clock | None = None,
     ) -> None:
         self.settings, self.clock = settings, clock or PacedClock()
-        self.faults = set[str]()
         model = device or random_device(np.random.default_rng(settings.seed), grade="consumer")
         self._zero = self.clock.now()
         self.servo, self.air = Servo(settings.servo), Air(settings.air)
@@ -161,7 +152,6 @@ class SimulatedBench:
     def advance(self) -> float:
         """Advance the bench to the current time, and return that time, s."""
         now = self.now()
-        self.servo.powered &= not {"power_cut", "stall"} & self.faults
         times, angles = self.servo.advance(now)
         first = max(int(np.searchsorted(self._log[0], now - 1.0)) - 1, 0)  # a reading requires the previous step
         before = self._log
@@ -188,9 +178,6 @@ class SimulatedBench:
             )
         self.advance()
         self.face = up
-        if "wrong_face" in self.faults:
-            self.faults.discard("wrong_face")
-            self.face = FACES[FACES.index(up) ^ 1]
         unit, tilt = unit_vector(self.face), self._hands.normal(0.0, 1.0, 3) * self.settings.mount_tilt_sd
         tilted = unit + np.cross(tilt, unit)
         self._up = tilted / np.linalg.norm(tilted)
@@ -212,7 +199,6 @@ class SimulatedTable:
         self.limits, self._bench = limits, bench
         self._scale = CountScale.from_lines(bench.settings.servo.encoder_lines)
         self._acceleration = 256_000.0  # counts/s2
-        self._fault: str | None = None
 
     def identify(self) -> str:
         """Return a description of the simulated table."""
@@ -244,7 +230,6 @@ class SimulatedTable:
         speed = SLEW.round(self._scale.counts(turn_rate))
         angle = self._scale.angle(steady_angle(speed, seconds, self._acceleration))
         self.limits.check_travel(self._bench.angle() + angle)
-        self._fault = None
         self._bench.servo.turn(speed, seconds, self._acceleration)
         return self._scale.angle(speed)
 
@@ -268,27 +253,20 @@ class SimulatedTable:
         return self._scale.angle(self._bench.servo.error)
 
     def fault(self) -> str | None:
-        """Return a description of the fault, or None."""
+        """Return None, because the table has no faults."""
         self._answer()
-        return self._fault
+        return None
 
     def close(self) -> None:
         """Stop and switch the motor off. A second call has no effect."""
-        if "power_cut" not in self._bench.faults:
-            self.stop()
-            self._bench.servo.switch(False)
+        self.stop()
+        self._bench.servo.switch(False)
 
     def _answer(self, *, moving: bool = False) -> None:
-        """Advance the bench. Raise an error without power or, if the table must move, with the motor off."""
-        bench = self._bench
-        powered = bench.servo.powered
-        bench.advance()
-        if "power_cut" in bench.faults:
-            raise LinkError("rig: no answer. Check power and cable.")
-        if powered and not bench.servo.powered:
-            self._fault = "its motor off: following error beyond its limit"
-        if moving and not bench.servo.powered:
-            raise RigFault(f"rig: cannot turn, got {self._fault or 'its motor off'}. Switch the motor on.")
+        """Advance the bench. Raise RigFault if the table must move with its motor off."""
+        self._bench.advance()
+        if moving and not self._bench.servo.powered:
+            raise RigFault("rig: cannot turn, got its motor off. Switch the motor on.")
 
 
 class SimulatedChamber(Chamber):
@@ -325,10 +303,6 @@ class SimulatedReadings:
         counts, rows = self._device.read(now)
         if not counts.size:
             return
-        if "lost_readings" in self._bench.faults:
-            rows[counts % 3 > 0] = np.nan
-        if "power_cut" in self._bench.faults:
-            rows[:] = np.nan
         self._newest = rows[-1]
         if self._kept is not None:
             self._kept.append((counts, rows))
