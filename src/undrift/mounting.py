@@ -84,7 +84,8 @@ def find_mounting(records: Sequence[Record], place: Worn, movement: Movement = "
     pieces = _pieces(tracks, up, movement)
     direction = _direction(pieces, up, SCATTER[movement]) if len(pieces) >= FEWEST[movement] else None
     if direction is None:
-        why = f"{movement} at the {place}: {len(pieces)} pieces were found, which have no common direction"
+        name = "walks between two stances" if movement == "walk" else "bows"
+        why = f"the {len(pieces)} {name} have no common direction" if len(pieces) else f"there are no {name}"
         return _undetermined("Forward", why)
     forward, scatter = direction
     worn = BodyMounting(

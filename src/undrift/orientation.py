@@ -60,7 +60,7 @@ if TYPE_CHECKING:
 # ---- Initial tilt
 
 GRAVITY_WITHIN = 0.2  # relative to standard gravity (beyond it the readings are not specific force at rest in m/s2)
-NOT_CALIBRATED = "scatter only, because the uncertainty of the accelerometer is unknown: typically 0.3 deg"
+NOT_CALIBRATED = "scatter only, without the unknown uncertainty of the accelerometer, typically 0.3 deg"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

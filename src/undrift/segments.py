@@ -171,14 +171,14 @@ def _find(
         why = f"too restless: a device at rest varies less than {' and '.join(over)}"
     elif np.isnan(thresholds).all():
         usual = " and ".join(f"{np.median(m.spread):.3g} {m.unit} against a floor of {m.floor:.3g}" for m in triads)
-        why = f"no gap separates rest from motion, which is too restless: half of the windows vary by more than {usual}"
+        why = f"no gap separates rest from motion: half of the windows vary by more than {usual}"
     else:
         longest_s = max((stop - start for start, stop in runs(quiet)), default=0) / record.sample_rate_hz
         why = f"the longest rest is too short: {longest_s:.2g} s, limit {settings.min_duration_s:g} s"
     gyro, accel = triads[0], triads[-1]
     accel_rests = accel.channel == "accel" and accel.floor < accel.limit(BENCH_RATE_LIMIT, BENCH_ACCEL_LIMIT)
     if accel_rests and gyro.unit == "rad/s" and gyro.floor > BENCH_RATE_LIMIT:
-        why += " while the accelerometer rests: is the gyroscope in deg/s, not rad/s?"
+        why += ". In these windows the accelerometer is at rest, so the gyroscope may be in deg/s, not rad/s"
     why = f"no still phase: the quietest {settings.window_s:g} s windows vary by {floors} rms, and {why}"
     return StillSearch(stills=(), reason=why)
 

@@ -50,7 +50,7 @@ def test_rows_are_in_the_units_that_people_read():
 
 def test_the_title_counts_the_nodes_that_no_data_were_near():
     assert re.fullmatch(
-        r"gyroscope offset over temperature: [\d.]+ to [\d.]+ degC seen, \d+ nodes [\d.]+ to [\d.]+ degC by 0.5, "
+        r"gyroscope offset over temperature: [\d.]+ to [\d.]+ degC measured, \d+ nodes [\d.]+ to [\d.]+ degC by 0.5, "
         r"\d+ of them extrapolated",
         offset_title("gyroscope", summary()),
     )
@@ -88,7 +88,7 @@ DRAWN = {
     ),
 }
 WORDS = {
-    "offsets": ("offset less the constant offset", "x (deg/s)", "extrapolated", "warming", "95 %"),
+    "offsets": ("offset minus the constant offset", "x (deg/s)", "extrapolated", "warming", "95 %"),
     "offsets of poses": ("uncertainty of the table", "a pose has no single offset"),
     "scale": ("scale factor against", "z (%)", "soaks, 95 %"),
     "dynamic": ("measured rate (deg/s)", "20 degC", "correction (deg/s)"),

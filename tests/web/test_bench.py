@@ -185,7 +185,7 @@ def test_options_are_called_as_the_page_calls_them():
         == "give “Town, or latitude in deg” and “Height above the sea, m”"
     )
     assert page_words("give `latitude_deg`, or `rest_s`") == "give “Town, or latitude in deg”, or `rest_s`"
-    assert page_words("say --gyro none") == "say “Calibrate the accelerometers alone”"
+    assert page_words("say --gyro none") == "say “Calibrate the accelerometers only”"
     assert page_words("say --upload-mb 5") == "say --upload-mb 5"
 
 

@@ -276,7 +276,7 @@ def test_a_refused_calibration_is_tried_with_the_accelerometers_alone_and_says_w
     state_serial(page)
     page.get_by_label("Angle of its turns, deg").fill("-360")
     page.get_by_role("button", name="Calibrate", exact=True).click()
-    alone = page.get_by_role("button", name="Calibrate the accelerometers alone")
+    alone = page.get_by_role("button", name="Calibrate the accelerometers only")
     alone.wait_for()
     shoot(page, "recordings-alone-390")
     alone.click()

@@ -314,7 +314,7 @@ def calibrate_rates(observed: Observed, mode: str | None, accel: TriadFit | None
 def _join_rests(
     dwells: DwellMeans, observed: Observed, turning: Sequence[Turn], accel: TriadModel | None
 ) -> tuple[DwellMeans, list[Still]]:
-    """Return dwells and rests with their specific force, and the rests, or the dwells alone without whole rests.
+    """Return dwells and rests with their specific force, and the rests, or only the dwells if there are no whole rests.
 
     Without accelerometers only rests on labelled faces count, with gravity along the face.
     """

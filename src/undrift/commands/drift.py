@@ -143,7 +143,7 @@ def drift_summary(fit: "DriftFit") -> Summary:
     lead = f"The fit uses {count} blocks of rest and {dwells} dwells at known rates. Values after +- are standard uncertainties."
     if worth is not None:
         before, after = f"{worth.constant_deg:.2f} deg", f"{worth.tables_deg:.2f} deg"
-        answer = f"A lean {worth.motion} errs by up to {before} without tables and {after} with these tables."
+        answer = f"In a lean {worth.motion}, the error is up to {before} without tables and {after} with these tables."
         if worth.turned:
             before += f", and {worth.rest_deg:.2f} deg if the offset at a rest before the motion is subtracted"
             after += f", and {worth.both_deg:.2f} deg with that rest too"
@@ -270,7 +270,7 @@ def offset_title(name: str, summary: TriadSummary) -> str:
     step = (nodes[-1] - nodes[0]) / (len(nodes) - 1)
     count = int(summary.extrapolated.sum())
     far = f", {count} of them extrapolated" if count else ""
-    title = f"{name} offset over temperature: {low:.1f} to {high:.1f} degC seen"
+    title = f"{name} offset over temperature: {low:.1f} to {high:.1f} degC measured"
     return f"{title}, {len(nodes)} nodes {nodes[0]:g} to {nodes[-1]:g} degC by {step:g}{far}"
 
 

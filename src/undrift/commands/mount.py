@@ -70,7 +70,7 @@ def _mount_summary(
     from undrift.io.store import verdict_json, write_calibration
 
     worn, verdict = fit.mounting, fit.verdict
-    basis = Section(title="How it was found", text=(worn.basis,) if worn else ())
+    basis = Section(title="Method", text=(worn.basis,) if worn else ())
     data: dict[str, Any] = {"mounting": worn and tree_of(worn), "output": None}
     about = Summary(
         title=f"Mounting by {', '.join(path.name for path in records)}",

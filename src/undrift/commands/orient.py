@@ -105,7 +105,7 @@ class Oriented(Result):
         sections = [
             Section(title="Files", text=(f"{files}: {len(orientation.time)} samples",), on="terminal"),
             Section(title=f"Angles, {len(orientation.time)} samples", columns=heads, rows=rows, on="page"),
-            Section(title="How it was found", text=(*lines, uncertainty)),
+            Section(title="Method", text=(*lines, uncertainty)),
             Section(title="Offset, north and mounting", text=offset, on="terminal"),
             Section(title="Warnings", text=warnings, on="terminal"),
         ]

@@ -162,7 +162,7 @@ class Validated(Result):
         text = [
             f"Readings: {self._correction() or 'as they are'}.",
             f"Start: tilt from the specific force and heading from the reference, over the last {REST_S:g} s of rest. From "
-            f"{LEAD_S:g} s before the motion on, orientation is integrated from the gyroscopes alone.",
+            f"{LEAD_S:g} s before the motion on, orientation is integrated from the gyroscopes only.",
             f"Lag: a lag of up to {OWN_LAG_S * 1e3:g} ms is the sensor's own and stays in the errors. A longer lag is removed.",
             f"Mounting: the rotation between device and reference is removed{above}.",
             f"Pitch: in the plane of {settings.forward} (forward) and {settings.up} (up)"

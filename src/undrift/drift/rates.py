@@ -126,7 +126,7 @@ def prepared(steps: RateSteps, model: TriadModel, *, static: StaticDrift | None)
     rows &= np.abs(turn_rate) > MAINLY * np.linalg.norm(usable.rate_b, axis=1)
     if not rows.any():
         raise NotObservable(
-            "rate steps: no axis turned at two rates in a soak. Turn about each axis in both directions."
+            "rate steps: no axis was turned at two rates in a soak. Turn about each axis in both directions."
         )
     lost = int((~finite).sum() + (~rows).sum())
     left_out, why = (
@@ -297,8 +297,8 @@ def fit_dynamic(
     if not axis_points:
         soaks = len(np.unique(steps.soak))
         raise NotObservable(
-            f"dynamic drift: no axis turned at three soaks among {len(steps)} steps at {soaks} soaks, "
-            f"{steps.temp_c.min():.1f} to {steps.temp_c.max():.1f} degC. Repeat the steps at another temperature.",
+            f"dynamic drift: each axis needs turns in three soaks or more, got {len(steps)} turns in {soaks} soaks for all axes, "
+            f"{steps.temp_c.min():.1f} to {steps.temp_c.max():.1f} degC. Repeat the turns at another temperature.",
             soaks=soaks,
         )
     low_c, high_c = span_c

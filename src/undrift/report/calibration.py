@@ -60,7 +60,7 @@ def _number(cell: str) -> Any:
 
 
 def draw_tables(drift: DriftTables) -> "Figure":
-    """Draw offset and scale factor over temperature less their mean, each node with its expanded uncertainty (k = 2)."""
+    """Draw offset and scale factor over temperature minus their mean, each node with its expanded uncertainty (k = 2)."""
     panels: list[tuple[str, FloatArray, FloatArray, FloatArray | None]] = []
     for name in ("gyro", "accel"):
         triad = NAMES[name].lower()
@@ -111,7 +111,7 @@ def draw_calibration(calibration: Calibration) -> "Figure":
         bars = [100.0 * gain * expanded.get(f"m_{element}", 0.0) for element in elements]
         matrix.errorbar(elements, 100.0 * (gain * triad.matrix - np.eye(3)).ravel(), yerr=bars, **style)
         matrix.axhline(0.0, color=figures.OPTICS, linewidth=0.6)
-        matrix.set_ylabel(f"{name} matrix\nless {ideal} (%)")
+        matrix.set_ylabel(f"{name} matrix\nminus {ideal} (%)")
         offset.errorbar(AXES, triad.offset, yerr=[expanded.get(f"offset_{axis}", 0.0) for axis in AXES], **style)
         offset.margins(0.3)
         offset.set_ylabel(f"{name} offset\n({triad.unit_in})")

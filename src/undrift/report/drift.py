@@ -46,7 +46,7 @@ def draw_offsets(summary: TriadSummary) -> "Figure":
         panels[2 * k].set_ylabel(f"{axis} ({unit})")
     for axes in panels[-2:]:
         axes.set_xlabel("temperature (degC)")
-    panels[0].set_title("offset less the constant offset", loc="left", fontsize=10)
+    panels[0].set_title("offset minus the constant offset", loc="left", fontsize=10)
     second = "offset minus the table" if summary.fit else "uncertainty of the table"
     panels[1].set_title(second, loc="left", fontsize=10)
     if summary.fit is None:

@@ -689,7 +689,7 @@ def draw_held_out(trials: Sequence["HeldOutTrial"]) -> "Figure":
     panel.set_yticks(
         range(len(trials)), [textwrap.fill(f"{trial.recording} {trial.window_s:g} s", 20) for trial in trials]
     )
-    panel.set(xlabel="pitch, simulated less real (deg)", xlim=(0.0, None), ylim=(len(trials) - 0.4, -0.6))
+    panel.set(xlabel="pitch, simulated minus real (deg)", xlim=(0.0, None), ylim=(len(trials) - 0.4, -0.6))
     legend_above(panel)
     return figure
 
@@ -698,9 +698,9 @@ def draw_held_out(trials: Sequence["HeldOutTrial"]) -> "Figure":
 
 
 def draw_rig_run(turns: "Sequence[RecordedDwell]") -> "Figure":
-    """Draw achieved less nominal rate of each dwell of a rig run, with 95 % uncertainty."""
+    """Draw achieved minus nominal rate of each dwell of a rig run, with 95 % uncertainty."""
     figure, (panel,) = new_figure(1, height=2.2)
-    entitle(figure, "Achieved less nominal rate of each dwell, 95 %")
+    entitle(figure, "Achieved minus nominal rate of each dwell, 95 %")
     for k, axis in enumerate(AXES):
         about = [piece for piece in turns if piece.axis == axis]
         nominal, achieved, uncertainty = (
