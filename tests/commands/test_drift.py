@@ -15,7 +15,7 @@ from undrift.record import Record
 from undrift.sim.device.presets import preset
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.bench import BenchSettings
-from undrift.sim.thermal import ChamberSettings, ThermalSettings, WarmUpSettings, simulate_thermal_session
+from undrift.sim.thermal import ChamberSettings, ThermalSettings, simulate_thermal_session
 
 pytestmark = pytest.mark.usefixtures("computed_once")
 
@@ -70,9 +70,7 @@ def test_a_full_session_is_good_and_every_table_is_shown_and_drawn(undrift, soak
 @pytest.mark.slow
 def test_several_logs_are_combined_and_a_warm_up_is_fitted(undrift, soaks, tmp_path):
     for k in range(3):
-        settings = replace(
-            SOAKS, warm_up=WarmUpSettings(start_c=8.0 + 10.0 * k, end_c=28.0 + 10.0 * k, duration_s=1500.0)
-        )
+        settings = replace(SOAKS, warm_up_c=(8.0 + 10.0 * k, 28.0 + 10.0 * k), warm_up_s=1500.0)
         made = simulate_thermal_session("warm_up", DEVICE, rng=np.random.default_rng(k), settings=settings)
         write_record(made.records[0], tmp_path / f"day{k}.parquet")
     logs = sorted(tmp_path.glob("*.parquet"))

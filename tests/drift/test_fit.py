@@ -31,7 +31,7 @@ from undrift.sim.device.effects import RateDrift
 from undrift.sim.device.presets import preset, random_device_of
 from undrift.sim.device.truth import true_calibration, true_tables
 from undrift.sim.motion.bench import BenchSettings
-from undrift.sim.thermal import ChamberSettings, ThermalSettings, WarmUpSettings, simulate_thermal_session
+from undrift.sim.thermal import ChamberSettings, ThermalSettings, simulate_thermal_session
 
 pytestmark = pytest.mark.usefixtures("computed_once")
 
@@ -55,7 +55,7 @@ def made(kind="soak", *, seed=1, settings=QUICK_SOAKS, device=DEVICE):
 @cache
 def warmed(seed, *, start_c=12.0, shift_dps=(0.0, 0.0, 0.0)):
     """A warm-up of a device whose offset moved at switch-on."""
-    settings = replace(QUICK_SOAKS, warm_up=WarmUpSettings(start_c=start_c, end_c=start_c + 20.0, duration_s=1500.0))
+    settings = replace(QUICK_SOAKS, warm_up_c=(start_c, start_c + 20.0), warm_up_s=1500.0)
     session = made("warm_up", seed=seed, settings=settings)
     record = session.records[0]
     gain = CALIBRATION.gyro.forward_matrix @ np.radians(shift_dps)

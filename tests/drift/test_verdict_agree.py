@@ -11,7 +11,7 @@ from undrift.errors import Implausible
 from undrift.sim.device.presets import preset
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.bench import BenchSettings
-from undrift.sim.thermal import ChamberSettings, ThermalSettings, WarmUpSettings, simulate_thermal_session
+from undrift.sim.thermal import ChamberSettings, ThermalSettings, simulate_thermal_session
 
 DEVICE = preset("enc03j_3031")
 CALIBRATION = true_calibration(DEVICE)
@@ -23,7 +23,8 @@ SETTINGS = ThermalSettings(
     bench=BENCH,
     chamber=QUICK,
     set_points_c=(20.0, 30.0, 40.0),
-    warm_up=WarmUpSettings(start_c=18.0, end_c=38.0, duration_s=1000.0),
+    warm_up_c=(18.0, 38.0),
+    warm_up_s=1000.0,
 )
 TABLES = DriftSettings(tables="none", lag_s=0.0)
 

@@ -14,7 +14,7 @@ from undrift.sim.device.presets import Grade, grade_named
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.bench import BenchSettings
 from undrift.sim.motion.motion import Motion
-from undrift.sim.thermal import RampSettings, ThermalSettings
+from undrift.sim.thermal import ThermalSettings
 from undrift.units import RADIAN_PER_DEGREE, gravity_at
 
 TEMP_C = 25.0
@@ -236,10 +236,8 @@ def soak(seed: int = 11) -> undrift.Session:
 def ramp(seed: int = 11) -> Recording:
     """Return a phone at rest in a ramp up and back, at 4 Hz."""
     bench = BenchSettings(gravity_m_s2=GRAVITY, sample_rate_hz=4.0, turn_rates=())
-    way = RampSettings(low_c=12.0, high_c=40.0, up_c_per_min=2.0, down_c_per_min=2.0, hold_s=120.0)
-    made = undrift.simulate_thermal_session(
-        "ramp", phone(seed), rng=np.random.default_rng(62), settings=ThermalSettings(bench=bench, ramp=way)
-    )
+    settings = ThermalSettings(bench=bench, ramp_c=(12.0, 40.0), ramp_c_per_min=2.0, ramp_hold_s=120.0)
+    made = undrift.simulate_thermal_session("ramp", phone(seed), rng=np.random.default_rng(62), settings=settings)
     return recording_of(made.records[0])
 
 
@@ -247,8 +245,6 @@ def ramp(seed: int = 11) -> Recording:
 def rest() -> Recording:
     """Return a phone at rest for ten minutes, for its noise."""
     bench = BenchSettings(gravity_m_s2=GRAVITY, sample_rate_hz=50.0, turn_rates=())
-    way = RampSettings(low_c=25.0, high_c=25.01, up_c_per_min=1.0, down_c_per_min=0.0, hold_s=600.0)
-    made = undrift.simulate_thermal_session(
-        "ramp", phone(), rng=np.random.default_rng(63), settings=ThermalSettings(bench=bench, ramp=way)
-    )
+    settings = ThermalSettings(bench=bench, ramp_c=(25.0, 25.01), ramp_hold_s=300.0)
+    made = undrift.simulate_thermal_session("ramp", phone(), rng=np.random.default_rng(63), settings=settings)
     return recording_of(made.records[0])

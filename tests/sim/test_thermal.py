@@ -12,7 +12,7 @@ from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import preset
 from undrift.sim.device.truth import true_calibration, true_tables
 from undrift.sim.motion.bench import BenchSettings
-from undrift.sim.thermal import ChamberSettings, RampSettings, ThermalSettings, simulate_thermal_session
+from undrift.sim.thermal import ChamberSettings, ThermalSettings, simulate_thermal_session
 
 QUICK = ChamberSettings(ramp_rate_c_per_min=20.0, air_lag_s=5.0, board_lag_s=10.0, soak_hold_s=10.0)
 BENCH = BenchSettings(sample_rate_hz=50.0, still_s=2.0, move_s=1.0, turn_rates=(0.5, 1.5), dwell_s=1.0)
@@ -85,8 +85,8 @@ def test_six_faces_show_gravity_at_each_temperature() -> None:
 
 
 def test_a_ramp_goes_up_and_down_and_a_warm_up_begins_at_power_on() -> None:
-    ramp = RampSettings(low_c=20.0, high_c=30.0, up_c_per_min=5.0, down_c_per_min=5.0, hold_s=60.0)
-    up_down = simulate_thermal_session("ramp", settled(), rng=rng(), settings=replace(SHORT, ramp=ramp))
+    ramp = replace(SHORT, ramp_c=(20.0, 30.0), ramp_c_per_min=5.0, ramp_hold_s=60.0)
+    up_down = simulate_thermal_session("ramp", settled(), rng=rng(), settings=ramp)
     assert len(up_down.stills) == 1
     temp = up_down.records[0].temp_c
     assert temp is not None

@@ -75,7 +75,7 @@ def lay_out(protocol: Protocol) -> TableSession:
     return TableSession(
         kind=np.array([kinds[dwell.purpose] for dwell in dwells]),
         axis=np.array(["xyz".index(dwell.up[1]) for dwell in dwells]),
-        face=np.array([FACES.index(dwell.up[:2]) for dwell in dwells]),
+        face=np.array([FACES.index(dwell.up) for dwell in dwells]),
         rate=np.array([dwell.turn_rate for dwell in dwells]),
         start_s=np.array(starts),
         duration_s=np.array([dwell.dwell_s for dwell in dwells]),

@@ -21,12 +21,13 @@ thermometer. Bias instability, which is stationary, is drawn again for each leg.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from undrift.arrays import FloatArray, Shape, freeze
+from undrift.arrays import FloatArray
 from undrift.errors import InputError, check_positive
 from undrift.record import FACES, Face, Record, Session, joined
 from undrift.sim.device.effects import Past, Scene, Thermometer
@@ -55,56 +56,19 @@ class ChamberSettings:
     air_lag_s: float = 60.0  # s in the air's equation, s
     damping: float = 0.7  # z in the air's equation: 1 and above never overshoots, 0.7 by 5 % of a sudden step
     board_lag_s: float = 240.0  # time constant tau of the board, s (some minutes for a bare board in moving air)
-    soak_hold_s: float = (
-        60.0  # duration for which a board must stay soaked, s, so that the turn of an overshoot does not count
-    )
+    # duration for which a board must stay soaked, s, so that the turn of an overshoot does not count
+    soak_hold_s: float = 60.0
 
     def __post_init__(self) -> None:
         check_positive(self, "chamber", "Correct the settings", *self.__dataclass_fields__)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RampSettings:
-    """A ramp up and back down."""
+class Profile(NamedTuple):
+    """Temperatures of the board in a programme, n steps."""
 
-    low_c: float = 18.0  # set-points at its ends, degC
-    high_c: float = 75.0
-    up_c_per_min: float = 1.0  # slope of the set-point, degC/min (with 0 down, the ramp ends at the top)
-    down_c_per_min: float = 1.0
-    hold_s: float = 600.0  # wait at the top, and at the bottom in the end, s
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WarmUpSettings:
-    """A board that warms itself after power-on."""
-
-    start_c: float = 10.7  # temperature at power-on and in the end, degC
-    end_c: float = 29.1
-    duration_s: float = 2160.0  # s
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SetPointVisit:
-    """One visit to a set-point."""
-
-    set_point_c: float  # degC
-    begin_s: float  # time at which the chamber leaves the previous set-point, s
-    soaked_s: float  # time at which the board is soaked, s
-    end_s: float  # end of the visit, s
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Profile:
-    """Temperatures of a programme, n steps."""
-
-    time: Annotated[FloatArray, Shape("n")]  # (n,), s, evenly spaced from 0
-    set_point_c: Annotated[FloatArray, Shape("n")]  # (n,), degC, or NaN without a chamber
-    air_c: Annotated[FloatArray, Shape("n")]  # (n,), degC, or NaN without a chamber
-    board_c: Annotated[FloatArray, Shape("n")]  # (n,), degC
-    soaks: tuple[SetPointVisit, ...] = ()  # visits in order of time (empty for a ramp or a warm-up)
-
-    def __post_init__(self) -> None:
-        freeze(self)
+    time: FloatArray  # (n,), s, evenly spaced from 0
+    board_c: FloatArray  # (n,), degC
+    soaked_s: tuple[float, ...] = ()  # for each visit to a set-point, the time at which the board is soaked, s
 
     def turns_before(self, time_s: float) -> FloatArray:
         """Return the temperatures at which the board began and turned back: all that a play remembers, (k,) degC."""
@@ -116,44 +80,7 @@ class Profile:
         return np.asarray(temps[np.concatenate(([0], np.flatnonzero(slope[1:] != slope[:-1]) + 1)).astype(int)])
 
 
-def soak_profile(
-    set_points_c: tuple[float, ...], *, measured_s: float, settings: ChamberSettings = ChamberSettings()
-) -> Profile:
-    """Return a programme of soaks: at each set-point wait until the board is soaked, then stay as long as measuring takes."""
-    if not set_points_c:
-        raise InputError("soaks: at least one set-point is required. Set temperatures in degC.")
-    chamber, soaks = _Chamber(settings, set_points_c[0]), []
-    for set_point_c in set_points_c:
-        begin_s = chamber.now_s
-        chamber.ramp_to(set_point_c, settings.ramp_rate_c_per_min)
-        chamber.wait_for_soak()
-        soaked_s = chamber.now_s
-        chamber.wait(measured_s)
-        soaks.append(SetPointVisit(set_point_c=set_point_c, begin_s=begin_s, soaked_s=soaked_s, end_s=chamber.now_s))
-    return chamber.profile(tuple(soaks))
-
-
-def ramp_profile(ramp: RampSettings, *, settings: ChamberSettings = ChamberSettings()) -> Profile:
-    """Return a ramp from low to high and back."""
-    chamber = _Chamber(settings, ramp.low_c)
-    chamber.ramp_to(ramp.high_c, ramp.up_c_per_min)
-    chamber.wait(ramp.hold_s)
-    if ramp.down_c_per_min > 0.0:
-        chamber.ramp_to(ramp.low_c, ramp.down_c_per_min)
-        chamber.wait(ramp.hold_s)
-    return chamber.profile(())
-
-
-def warm_up_profile(warm_up: WarmUpSettings) -> Profile:
-    """Return the temperature of a board from power-on, without a chamber."""
-    time = np.arange(math.ceil(warm_up.duration_s / STEP_S) + 1) * STEP_S
-    lacking = FAST_SHARE * np.exp(-time / FAST_S) + (1.0 - FAST_SHARE) * np.exp(-time / SLOW_S)
-    unknown = np.full(len(time), np.nan)
-    board = warm_up.end_c - (warm_up.end_c - warm_up.start_c) * lacking
-    return Profile(time=time, set_point_c=unknown, air_c=unknown, board_c=board)
-
-
-class _Chamber:
+class Chamber:
     """A chamber at work: each order moves its clock on."""
 
     def __init__(self, settings: ChamberSettings, start_c: float) -> None:
@@ -201,10 +128,22 @@ class _Chamber:
             self.wait(STEP_S)
             calm_s = calm_s + STEP_S if self.board_c_per_min < SOAK_RATE_C_PER_MIN else 0.0
 
-    def profile(self, soaks: tuple[SetPointVisit, ...]) -> Profile:
-        states = np.array(self.states)
-        time = np.arange(len(states)) * STEP_S
-        return Profile(time=time, set_point_c=states[:, 3], air_c=states[:, 0], board_c=states[:, 2], soaks=soaks)
+    def profile(self, soaked_s: Sequence[float] = ()) -> Profile:
+        board_c = np.array(self.states)[:, 2]
+        return Profile(np.arange(len(board_c)) * STEP_S, board_c, tuple(soaked_s))
+
+
+def soak_profile(set_points_c: tuple[float, ...], measured_s: float, settings: ChamberSettings) -> Profile:
+    """Return a programme of soaks: at each set-point wait until the board is soaked, then stay as long as measuring takes."""
+    if not set_points_c:
+        raise InputError("soaks: at least one set-point is required. Set temperatures in degC.")
+    chamber, soaked_s = Chamber(settings, set_points_c[0]), []
+    for set_point_c in set_points_c:
+        chamber.ramp_to(set_point_c, settings.ramp_rate_c_per_min)
+        chamber.wait_for_soak()
+        soaked_s.append(chamber.now_s)
+        chamber.wait(measured_s)
+    return chamber.profile(soaked_s)
 
 
 # ---- motion at each temperature, on the clock of the chamber
@@ -227,8 +166,14 @@ class ThermalSettings:
     set_points_c: tuple[float, ...] = SET_POINTS_C  # in the order of the visits, degC
     back: bool = False  # visit them again in the opposite order: reveals hysteresis, takes twice as long
     faces: Literal["one", "six"] = "one"  # rest with +z up at each set-point, or with each axis up and down
-    ramp: RampSettings = RampSettings()
-    warm_up: WarmUpSettings = WarmUpSettings()
+    ramp_c: tuple[float, float] = (18.0, 75.0)  # set-points at the ends of a ramp up and back down, degC
+    ramp_c_per_min: float = 1.0  # slope of the set-point in a ramp, degC/min
+    ramp_hold_s: float = 600.0  # wait at the top of a ramp, and at the bottom in the end, s
+    warm_up_c: tuple[float, float] = (
+        10.7,
+        29.1,
+    )  # temperatures of a board that warms itself, at power-on and in the end, degC
+    warm_up_s: float = 2160.0  # duration of a warm-up, s
     power_on_s: float = 3600.0  # age of the device at the start of the programme, s (a warm-up starts at power-on)
 
     def __post_init__(self) -> None:
@@ -236,13 +181,29 @@ class ThermalSettings:
             raise InputError(f"thermal: power_on_s must be 0 or more, got {self.power_on_s:g} s. Correct the settings.")
 
 
+def ramp_profile(settings: ThermalSettings) -> Profile:
+    """Return a ramp from low to high and back."""
+    low_c, high_c = settings.ramp_c
+    chamber = Chamber(settings.chamber, low_c)
+    for set_point_c in (high_c, low_c):
+        chamber.ramp_to(set_point_c, settings.ramp_c_per_min)
+        chamber.wait(settings.ramp_hold_s)
+    return chamber.profile()
+
+
+def warm_up_profile(settings: ThermalSettings) -> Profile:
+    """Return the temperature of a board from power-on, without a chamber."""
+    start_c, end_c = settings.warm_up_c
+    time = np.arange(math.ceil(settings.warm_up_s / STEP_S) + 1) * STEP_S
+    lacking = FAST_SHARE * np.exp(-time / FAST_S) + (1.0 - FAST_SHARE) * np.exp(-time / SLOW_S)
+    return Profile(time, end_c - (end_c - start_c) * lacking)
+
+
 def _programme(kind: ThermalKind, settings: ThermalSettings, streams: Streams) -> tuple[Profile, list[Motion]]:
     """Return the temperatures and the motion of each leg, in order of time."""
     bench, rate_hz, up = settings.bench, settings.bench.sample_rate_hz, unit_vector("+z")
     if kind != "soak":
-        profile = warm_up_profile(settings.warm_up)
-        if kind == "ramp":
-            profile = ramp_profile(settings.ramp, settings=settings.chamber)
+        profile = ramp_profile(settings) if kind == "ramp" else warm_up_profile(settings)
         script = Script(rate_hz, up)
         script.still(float(profile.time[-1]), "+z")
         return profile, [script_motion(script, bench)]
@@ -259,14 +220,14 @@ def _programme(kind: ThermalKind, settings: ThermalSettings, streams: Streams) -
     before = rehearsal.samples
     write(rehearsal)
     points = settings.set_points_c + (settings.set_points_c[::-1] if settings.back else ())
-    profile = soak_profile(points, measured_s=(rehearsal.samples - before) / rate_hz, settings=settings.chamber)
+    profile = soak_profile(points, (rehearsal.samples - before) / rate_hz, settings.chamber)
     legs, q = list[Motion](), Script(rate_hz, up).q
-    for soak in profile.soaks:
+    for soaked_s in profile.soaked_s:
         script = Script(rate_hz, up)
         script.q = q
         write(script)
         q, motion = script.q, script_motion(script, bench)
-        legs.append(replace(motion, time=motion.time + round(soak.soaked_s * rate_hz) / rate_hz))
+        legs.append(replace(motion, time=motion.time + round(soaked_s * rate_hz) / rate_hz))
     return profile, legs
 
 

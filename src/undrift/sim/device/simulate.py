@@ -164,19 +164,6 @@ def simulate_device(
     return Simulated(record=record, gyro=gyro, accel=accel, temp_c=temp_taken, true_time=taken)
 
 
-def filtered(record: Record, device: DeviceModel) -> Record:
-    """Return a record, simulated without low-pass and converter, after those of a device with even sampling."""
-    time, behind = record.time, dict[str, FloatArray]()
-    step_s = float((time[-1] - time[0]) / (len(time) - 1))
-    scene = Scene(time=time, step_s=step_s, temp_c=time, warmth=time, age_s=time)
-    for name in ("gyro", "accel"):
-        chain: SensorChain = getattr(device, name)
-        if (x := getattr(record, name)) is not None:
-            x = x if chain.low_pass is None else chain.low_pass.apply(x, scene, Past(np.random.default_rng(0)))
-            behind[name] = x if chain.adc is None else chain.adc.converted(x)[0]
-    return replace(record, gyro=behind["gyro"], accel=behind.get("accel"))
-
-
 def _triad(
     model: DeviceModel, name: Literal["gyro", "accel"], true: FloatArray, scene: Scene, streams: Streams,
     ticks: tuple[FloatArray, FloatArray],

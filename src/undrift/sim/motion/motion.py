@@ -37,7 +37,6 @@ from numpy.polynomial import Polynomial
 from undrift.arrays import FloatArray, Shape, freeze
 from undrift.frames import cross, quaternion_conjugate, quaternion_product, rotate
 from undrift.record import Axis, Face, Still, Turn
-from undrift.units import RADIAN_PER_DEGREE
 
 # ---- Course: one coordinate over time, a sum of parts whose derivatives are closed forms.
 
@@ -402,17 +401,11 @@ class Script:
         return round(duration_s * self.sample_rate_hz) / self.sample_rate_hz
 
 
-def unit_vector(name: str, off: float = 0.0) -> FloatArray:
-    """Return the unit vector (3,) of an axis, a face or a pose.
-
-    The pose "+z 45 +x" is +z inclined toward +x by 45 deg plus `off`, rad.
-    """
-    face, *inclined = name.split()
+def unit_vector(name: str) -> FloatArray:
+    """Return the unit vector (3,) of an axis or a face."""
     vector = np.zeros(3)
-    vector[["xyz".index(axis) for axis in face.lstrip("+-")]] = -1.0 if face[0] == "-" else 1.0
-    angle = float(inclined[0]) * RADIAN_PER_DEGREE + off if inclined else 0.0
-    up = np.asarray(vector / np.linalg.norm(vector))
-    return math.cos(angle) * up + math.sin(angle) * unit_vector(inclined[1]) if inclined else up
+    vector["xyz".index(name.lstrip("+-"))] = -1.0 if name[0] == "-" else 1.0
+    return vector
 
 
 def turn_quaternion(axis_b: FloatArray, angle: FloatArray) -> FloatArray:
