@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from undrift.errors import InputError
-from undrift.sim.servo import Servo, ServoSettings
+from undrift.sim.kernels import ServoSettings
+from undrift.sim.servo import Servo
 
 RATE, ACCELERATION = 10_000.0, 256_000.0  # counts/s, counts/s2
 
@@ -80,4 +81,4 @@ def test_a_torque_beyond_the_supply_is_not_there():
 @pytest.mark.parametrize("name", ["inertia", "resistance", "period_s", "encoder_lines"])
 def test_what_is_not_positive_is_refused(name):
     with pytest.raises(InputError, match=f"servo: `{name}` must be above 0"):
-        ServoSettings(**{name: 0})
+        Servo(ServoSettings(**{name: 0}))

@@ -82,9 +82,8 @@ def table_2(outcome: "StudyOutcome") -> Section:
             np.array([person.age_years for person in people]),
             np.array([person.height for person in people]),
         )
-        noted = (printed.age_years, printed.height)
         cells = []
-        for values, (low, mean, high), unit in zip((ages, heights), noted, (1.0, 100.0), strict=True):
+        for values, (low, mean, high), unit in zip((ages, heights), printed, (1.0, 100.0), strict=True):
             cells += [f"{unit * low:.0f} to {unit * high:.0f}, {unit * mean:.0f}"]
             cells += [f"{unit * values.min():.0f} to {unit * values.max():.0f}, {unit * values.mean():.0f}"]
         rows.append((group, *cells))

@@ -37,8 +37,9 @@ from undrift.rig.rig import (
 from undrift.sim.device.causal import Seen, SimulatedDevice
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device
+from undrift.sim.kernels import ServoSettings
 from undrift.sim.motion.motion import unit_vector
-from undrift.sim.servo import Servo, ServoSettings
+from undrift.sim.servo import Servo
 from undrift.units import STANDARD_GRAVITY
 
 # ---- Air of a chamber and board of the device.

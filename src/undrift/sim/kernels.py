@@ -83,30 +83,38 @@ def follow_with_play(temp: FloatArray, half_width: float, output: float, out: Fl
 
 # ---- servo
 
+COUNTS_PER_LINE = 4
+VOLTS_PER_COUNT, CLIP_V = 3.0e-4, 10.0  # of the controller's converter
 ANGLE, RATE, ERROR, SAMPLES = 0, 1, 2, 3  # state: rad, rad/s, counts, samples since the start
 
 
-class Loop(NamedTuple):
-    """Coefficients of a servo's loop, as defined in sim/servo.py."""
+class ServoSettings(NamedTuple):
+    """Coefficients of the loop: the figures of the note."""
 
-    period_s: float
-    proportional: float  # 4 KP
-    derivative: float  # 4 KD
-    volts_per_count: float
-    clip: float
-    torque_constant: float
-    amplifier_gain: float
-    supply: float
-    resistance: float
-    inertia: float
-    friction: float
-    counts_per_rad: float
+    torque_constant: float = 0.1  # Kt, N m/A, and the back voltage of the motor in V s/rad
+    inertia: float = 2.0e-4  # J of motor and table, kg m2
+    resistance: float = 2.0  # R of the winding, ohm
+    amplifier_gain: float = 4.0  # Ka, A/V
+    supply_voltage: float = 12.0  # supply voltage of the amplifier, positive and negative, V
+    encoder_lines: int = 10_000  # N
+    period_s: float = 1.0e-4  # between samples, s
+    gains: tuple[float, float] = (12.5, 245.0)  # KP and KD, as a controller takes them
+    friction: float = 2.0e-3  # N m
+
+    @property
+    def counts_per_rad(self) -> float:
+        """Encoder counts in a radian."""
+        return COUNTS_PER_LINE * self.encoder_lines / (2.0 * math.pi)
 
 
 @njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
-def servo(state: FloatArray, loop: Loop, powered: bool, profile: FloatArray, stride: int, out: FloatArray) -> None:
+def servo(
+    state: FloatArray, loop: ServoSettings, powered: bool, profile: FloatArray, stride: int, out: FloatArray
+) -> None:
     # out (n,): angle after each `stride` samples. profile (K, 4) contains start in s, position, speed and acceleration in counts,
     # in the order of time. Its last row is a rest.
+    counts_per_rad = COUNTS_PER_LINE * loop.encoder_lines / (2.0 * math.pi)
+    proportional, derivative = 4.0 * loop.gains[0], 4.0 * loop.gains[1]
     row = 0
     for k in range(out.size):
         for _ in range(stride):
@@ -116,11 +124,14 @@ def servo(state: FloatArray, loop: Loop, powered: bool, profile: FloatArray, str
             u = time - profile[row, 0]
             wanted = math.floor(profile[row, 1] + u * (profile[row, 2] + 0.5 * u * profile[row, 3]))
             angle, rate = state[ANGLE], state[RATE]
-            error = wanted - math.floor(angle * loop.counts_per_rad) if powered else 0.0
-            word = loop.proportional * error + loop.derivative * (error - state[ERROR])
-            volts = min(max(loop.volts_per_count * word, -loop.clip), loop.clip)
+            error = wanted - math.floor(angle * counts_per_rad) if powered else 0.0
+            word = proportional * error + derivative * (error - state[ERROR])
+            volts = min(max(VOLTS_PER_COUNT * word, -CLIP_V), CLIP_V)
             back_emf = loop.torque_constant * rate
-            most, least = (loop.supply - back_emf) / loop.resistance, (-loop.supply - back_emf) / loop.resistance
+            most, least = (
+                (loop.supply_voltage - back_emf) / loop.resistance,
+                (-loop.supply_voltage - back_emf) / loop.resistance,
+            )
             torque = loop.torque_constant * min(max(loop.amplifier_gain * volts, least), most) if powered else 0.0
             drive = torque
             if rate != 0.0:

@@ -10,54 +10,24 @@
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import check_positive
-from undrift.sim.kernels import ANGLE, ERROR, SAMPLES, Loop, servo
+from undrift.sim.kernels import ANGLE, ERROR, SAMPLES, ServoSettings, servo
 
-COUNTS_PER_LINE = 4
 LOG_S = 1e-3  # between two angles that are returned
-VOLTS_PER_COUNT, CLIP_V = 3.0e-4, 10.0  # of the controller's converter
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ServoSettings:
-    """Coefficients of the loop: the figures of the note."""
-
-    torque_constant: float = 0.1  # Kt, N m/A, and the back voltage of the motor in V s/rad
-    inertia: float = 2.0e-4  # J of motor and table, kg m2
-    resistance: float = 2.0  # R of the winding, ohm
-    amplifier_gain: float = 4.0  # Ka, A/V
-    supply_voltage: float = 12.0  # supply voltage of the amplifier, positive and negative, V
-    encoder_lines: int = 10_000  # N
-    period_s: float = 1.0e-4  # Between samples, s
-    gains: tuple[float, float] = (12.5, 245.0)  # KP and KD, as a controller takes them
-    friction: float = 2.0e-3  # N m
-
-    def __post_init__(self) -> None:
-        names = ("torque_constant", "inertia", "resistance", "amplifier_gain", "supply_voltage", "encoder_lines")
-        check_positive(self, "servo", "Enter the value of the loop", *names, "period_s")
-
-    @property
-    def counts_per_rad(self) -> float:
-        """Encoder counts in a radian."""
-        return COUNTS_PER_LINE * self.encoder_lines / (2.0 * math.pi)
 
 
 class Servo:
     """A shaft with its control loop, which advances when it is read. It starts at rest with the motor off."""
 
     def __init__(self, settings: ServoSettings = ServoSettings()) -> None:
+        names = ("torque_constant", "inertia", "resistance", "amplifier_gain", "supply_voltage", "encoder_lines")
+        check_positive(settings, "servo", "Enter the value of the loop", *names, "period_s")
         self.settings, self.powered = settings, False
-        s = settings
-        filtered = (4.0 * s.gains[0], 4.0 * s.gains[1], VOLTS_PER_COUNT, CLIP_V, s.torque_constant, s.amplifier_gain)
-        self._loop = Loop(
-            s.period_s, *filtered, s.supply_voltage, s.resistance, s.inertia, s.friction, s.counts_per_rad
-        )
-        self._state, self._stride = np.zeros(4), max(1, round(LOG_S / s.period_s))
+        self._state, self._stride = np.zeros(4), max(1, round(LOG_S / settings.period_s))
         self._profile = np.zeros((1, 4))
 
     @property
@@ -89,7 +59,7 @@ class Servo:
         """Advance to a time or slightly beyond. Return the times (n,), s, and angles (n,), rad, of the steps."""
         count = max(math.ceil((time - self.time) / self.step_s - 1e-6), 0)
         times, angles = self.time + self.step_s * np.arange(1, count + 1), np.empty(count)
-        servo(self._state, self._loop, self.powered, self._profile, self._stride, angles)
+        servo(self._state, self.settings, self.powered, self._profile, self._stride, angles)
         return times, angles
 
     def reference(self) -> tuple[float, float]:

@@ -9,12 +9,12 @@ from undrift.errors import InputError
 from undrift.sim.motion.tasks import (
     CATEGORIES,
     DEFAULT,
+    TABLE_2,
     CategoryName,
     Performance,
     TaskName,
     cohort,
     draw_task,
-    table_row,
 )
 
 TASKS: tuple[TaskName, ...] = ("sit_to_stand", "step", "posturography")
@@ -38,10 +38,11 @@ def test_the_notes_category_performs_as_before_there_were_others(name: TaskName,
 
 @pytest.mark.parametrize("name", get_args(CategoryName))
 def test_people_of_a_category_keep_its_ages_heights_and_bounds(name: CategoryName) -> None:
-    held, row = CATEGORIES[name], table_row("simulation", name)
+    held = CATEGORIES[name]
+    ages, heights = (held.age_years, held.height) if held.age_years and held.height else TABLE_2["simulation"]
     people = cohort("simulation", rng=np.random.default_rng(2), category=name)
     assert {person.category for person in people} == {name}
-    for printed, drawn in ((row.age_years, [p.age_years for p in people]), (row.height, [p.height for p in people])):
+    for printed, drawn in ((ages, [p.age_years for p in people]), (heights, [p.height for p in people])):
         np.testing.assert_allclose((min(drawn), np.mean(drawn), max(drawn)), printed, rtol=1e-12)
     for task, most_dps in zip(TASKS, held.most_dps, strict=True):
         for person in people[:5]:

@@ -19,32 +19,22 @@ The tasks. Each performance draws its parameters at random:
 The three limits are from the note's Table 1, for its category of subjects. A performance beyond them is drawn again.
 docs/motions.md lists model, numbers and sources.
 
-Sway of quiet stance: an inverted pendulum that is stabilised with a delayed controller and disturbed by filtered noise.
-
-The model is linear, so the angle is a Gaussian process with a known spectrum. The gains of the controller are in units of m g h,
-and J / (m g h) = 1.147 h / g. The torque noise is white noise after a first-order low-pass with the time constant tau_n::
+Sway of quiet stance: an inverted pendulum that is stabilised with a delayed controller and disturbed by filtered noise. Its angle
+is a Gaussian process with a known spectrum. Gains are in units of m g h, J / (m g h) = 1.147 h / g, and the torque noise is white
+noise after a first-order low-pass with the time constant tau_n::
 
     theta / noise = 1 / ((1.147 h/g) s^2 - 1 + (kp + kd s + ki / s) exp(-s tau)) / (1 + tau_n s),   s = 2 pi j f
 
-The process is a sum of sinusoids, one per geometric frequency band, with the power of that spectrum, Rayleigh amplitudes and random
-phases. So every derivative is exact. The sum is scaled to the required rms.
+The process is a sum of sinusoids, one per geometric frequency band, with Rayleigh amplitudes and random phases, scaled to an rms.
 
-Subjects: the people who perform a task, and the two groups of thirty in the note's Table 2, in one of several categories.
-
-A subject has an age, a height, a category and habits, which are a separate root of random numbers. A quantity of a performance is
-::
+Subjects have an age, a height, a category and habits, which are a separate root of random numbers. A quantity of a performance is
+drawn again until it is within its bounds::
 
     x = mean + sd (0.8 h + 0.6 z)       h the subject's habit for this quantity, z new each time, 0.8^2 + 0.6^2 = 1
 
-It is drawn again until it is within its bounds. Over many subjects, it has almost exactly its mean and standard deviation, because
-the bounds only truncate the tails. Performances of the same subject are similar.
-
-Categories: the numbers of the tasks' models for each category. The note studies protocols for a task and a category of subjects,
-healthy or pathologic, by type or by degree of inability. Its thirty subjects have Tinetti level 2, here ``level_2``, the default. A
-quantity has mean, standard deviation, minimum and maximum. A subject has the same habits in every category, in standard deviations.
-docs/motions.md has this table with the publications. The defaults of ``Category`` are the numbers of level_2, which are assumed,
-except for three bounds of the note's Table 1. Other categories use these numbers for missing quantities. For the time of the turn,
-this is published (phases last as long at 25 to 36 as at 61 to 74 years). Otherwise it is assumed.
+A category has the mean, standard deviation, minimum and maximum of each quantity, and a subject has the same habits in every
+category. The defaults of ``Category`` are the numbers of level_2, the note's thirty subjects. They are assumed, except for three
+bounds of the note's Table 1. Other categories use them for missing quantities. docs/motions.md lists numbers and publications.
 """
 
 import math
@@ -301,27 +291,13 @@ class Subject:
     category: Kind = DEFAULT  # Which numbers the performances are drawn with
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TableRow:
-    """A group as a table prints it: lowest, mean, highest."""
-
-    age_years: tuple[float, float, float]  # Years
-    height: tuple[float, float, float]  # m
-
-
-TABLE_2: dict[Group, TableRow] = {  # [note] Table 2 (both groups have Tinetti level 2)
-    "simulation": TableRow(age_years=(45.0, 62.0, 84.0), height=(1.50, 1.66, 1.85)),
-    "testing": TableRow(age_years=(45.0, 65.0, 83.0), height=(1.52, 1.67, 1.83)),
+TABLE_2: dict[
+    Group, tuple[Range, Range]
+] = {  # [note] Table 2: ages, years, and heights, m (both groups have Tinetti level 2)
+    "simulation": ((45.0, 62.0, 84.0), (1.50, 1.66, 1.85)),
+    "testing": ((45.0, 65.0, 83.0), (1.52, 1.67, 1.83)),
 }
 TYPICAL_HEIGHT = 1.665  # between the two groups' means, for performances without a subject
-
-
-def table_row(group: Group, category: Kind = DEFAULT) -> TableRow:
-    """Return the ages and heights that a cohort is to have."""
-    numbers = numbers_of(category)
-    if numbers.age_years is None or numbers.height is None:
-        return TABLE_2[group]
-    return TableRow(age_years=numbers.age_years, height=numbers.height)
 
 
 def cohort(group: Group, *, rng: np.random.Generator, category: Kind = DEFAULT) -> tuple[Subject, ...]:
@@ -329,9 +305,12 @@ def cohort(group: Group, *, rng: np.random.Generator, category: Kind = DEFAULT) 
     for got, choices in ((group, get_args(Group)), (category, get_args(CategoryName))):
         if got not in choices and not isinstance(got, Category):
             raise InputError(f"cohort: unknown group or category '{got}'. Use one of {', '.join(choices)}.")
-    streams, row = draw_streams(rng), table_row(group, category)
-    ages = _spread(row.age_years, streams.of(f"{group} age")).tolist()
-    heights = _spread(row.height, streams.of(f"{group} height")).tolist()
+    streams, numbers = draw_streams(rng), numbers_of(category)
+    age_range, height_range = TABLE_2[group]
+    if numbers.age_years and numbers.height:
+        age_range, height_range = numbers.age_years, numbers.height
+    ages = _spread(age_range, streams.of(f"{group} age")).tolist()
+    heights = _spread(height_range, streams.of(f"{group} height")).tolist()
     roots = streams.of(f"{group} habits")
     return tuple(
         Subject(number=k + 1, group=group, age_years=age, height=height, habits=draw_streams(roots), category=category)
@@ -339,7 +318,7 @@ def cohort(group: Group, *, rng: np.random.Generator, category: Kind = DEFAULT) 
     )
 
 
-def _spread(row: tuple[float, float, float], draw: np.random.Generator) -> np.ndarray:
+def _spread(row: Range, draw: np.random.Generator) -> np.ndarray:
     low, mean, high = row
     unit = np.concatenate(([0.0, 1.0], draw.beta(2.0, 2.0, GROUP_SIZE - 2)))
     wanted = (mean - low) / (high - low)
