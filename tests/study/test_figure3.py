@@ -7,7 +7,6 @@ import pytest
 from scipy import stats
 
 from testkit.data import show
-from undrift.errors import InputError
 from undrift.sim.device.effects import Sampling
 from undrift.sim.device.presets import preset
 from undrift.study import figure3 as figure3_module
@@ -28,16 +27,15 @@ def told(name: str, figure: Figure3) -> None:
     """Print what the figure says."""
     for row, level in enumerate(COMPARED):
         show(
-            f"{name}, {level}: largest / rms error simulated, actual; largest difference, deg",
-            f"{figure.simulated_max_deg[row]:.2f} / {figure.simulated_rms_deg[row]:.2f}, "
-            f"{figure.actual_max_deg[row]:.2f} / {figure.actual_rms_deg[row]:.2f}; "
+            f"{name}, {level}: largest error simulated, actual; largest difference, deg",
+            f"{figure.simulated_max_deg[row]:.2f}, {figure.actual_max_deg[row]:.2f}; "
             f"{figure.simulated_actual_max_deg[row]:.3f}",
             NOTE_DIFFERENCE_DEG,
         )
     decrease = figure.simulated_max_deg[0] - figure.simulated_max_deg[2]
     show(
-        f"{name}: decrease simulated, actual, deg; lags, ms",
-        f"{decrease:.2f}, {figure.decrease_deg:.2f}; {np.round(figure.lag_ms, 2).tolist()}",
+        f"{name}: decrease simulated, actual, deg",
+        f"{decrease:.2f}, {figure.decrease_deg:.2f}",
         f"more than {NOTE_DECREASE_DEG}",
     )
 
@@ -57,8 +55,6 @@ def test_the_tables_take_more_than_the_notes_three_degrees_off_the_typical_unit(
         assert largest[2] < largest[1] < largest[0]
     assert typical.time[0] == pytest.approx(0.0, abs=0.01)
     assert np.ptp(typical.time) == pytest.approx(4.0, abs=0.02)
-    # Second order at 11.1 Hz: 20.3 ms; the lag is found within half a millisecond.
-    assert np.abs(np.array(typical.lag_ms) - 20.3).max() < 0.5
 
 
 @pytest.mark.slow
@@ -132,8 +128,3 @@ def test_the_model_and_the_actual_device_differ_by_the_named_effects_alone() -> 
     assert whole.gyro.adc is not None
     assert whole.gyro.adc.inl_lsb.tolist() == [2.0, 2.0, 2.0]
     assert whole.thermometer.lag_s == 80.0
-
-
-def test_an_effect_that_is_not_one_is_told() -> None:
-    with pytest.raises(InputError, match="unknown effect 'ageing'"):
-        actual_device(preset("enc03j_3031"), ("ageing",))  # type: ignore[arg-type]
