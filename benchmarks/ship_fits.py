@@ -19,7 +19,7 @@ from undrift.study.methods import RIVALS, fit_rival
 from undrift.study.plan import SUBJECTS, Study, StudyTask, note_study
 from undrift.study.run import StudyDevice, executor, with_checked_fits
 from undrift.study.sessions import SESSIONS, CalibrationSession
-from undrift.study.shipped import Values, pack, shipped_fits, write_fits
+from undrift.study.shipped import Fit, pack, shipped_fits, write_fits
 
 SHORT_MIN = 60.0
 EFFECT_DEVICES = 10
@@ -32,7 +32,7 @@ def studies() -> Iterator[Study]:
         yield Study(name=name, device=name, tasks=(StudyTask(name="sit_to_stand"),))
 
 
-def fits_of_device(study: Study, number: int) -> dict[int, Values]:
+def fits_of_device(study: Study, number: int) -> dict[int, Fit]:
     """Return the fits of a device by key. For the note's study, variations, effects, rivals and the other group are
     included.
     """
@@ -45,11 +45,13 @@ def fits_of_device(study: Study, number: int) -> dict[int, Values]:
     if tried and number < EFFECT_DEVICES:
         for effect in EFFECTS:
             fits |= _fits(StudyDevice(study, number, effect), short)
-        fits |= {device.key(rival): values for rival in RIVALS if (values := pack(fit_rival(rival, device)))}
+        fits |= {
+            device.key(rival): values for rival in RIVALS if (values := pack(fit_rival(rival, device))) is not None
+        }
     return fits
 
 
-def _fits(device: StudyDevice, sessions: Sequence[CalibrationSession]) -> dict[int, Values]:
+def _fits(device: StudyDevice, sessions: Sequence[CalibrationSession]) -> dict[int, Fit]:
     stored = shipped_fits() if device.study.shipped else {}
     wanted = {device.key(session): session for session in sessions if session.suits(device.model)}
     packed = {key: stored.get(key) or pack(device.fit(session)) for key, session in wanted.items()}

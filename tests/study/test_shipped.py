@@ -70,7 +70,7 @@ def test_a_key_depends_on_seed_bench_device_and_session(device):
 @pytest.mark.parametrize("stale", [False, True])
 def test_stale_fits_are_refused(device, stale, monkeypatch):
     fit = pack(device.calibration(HAND))
-    shipped = (fit[0] * (1.01 if stale else 1.0), fit[1])
+    shipped = {name: array * (1.01 if stale else 1.0) for name, array in fit.items()}
     monkeypatch.setattr(run_module, "shipped_fits", lambda: {device.key(HAND): shipped})
     assert with_checked_fits(STUDY, map).shipped is not stale
     assert not with_checked_fits(replace(STUDY, offset="motion"), map).shipped  # needs uncertainties

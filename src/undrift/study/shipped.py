@@ -1,8 +1,7 @@
 """Fits of the device presets that come with the package, so that a study of a preset need not make them again.
 
-    key     hash of all that a fit depends on: device, session, errors of the bench, mode of the fit, seed, group, number
-    values  gyroscopes M, o, G, then accelerometers M, o
-    tables  over temperature: rounded, second differences along the temperature, compressed
+    key       hash of all that a fit depends on: device, session, errors of the bench, mode of the fit, seed, group, number
+    arrays    matrices, offsets and tables over temperature: rounding step, then second differences of the rounded values
 
 The rule: a fit is used if its key agrees, and if the fits of device 0 agree, which every study makes again with the code that runs.
 If one of these differs, the file is stale, and the study makes all its fits. ``python -m benchmarks.ship_fits`` makes the file.
@@ -11,7 +10,6 @@ The fits have no uncertainties, so a study that finds the offset in motion makes
 
 import hashlib
 import json
-import zlib
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
@@ -21,18 +19,35 @@ from typing import Any
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.model import SENSORS, Calibration, DriftTables, DynamicDrift, ScaleDrift, StaticDrift
+from undrift.model import Calibration, DriftTables, DynamicDrift, ScaleDrift, StaticDrift
 from undrift.sim.device.model import DeviceModel, device_json
 from undrift.study.sessions import CalibrationSession, bare_model
 from undrift.units import STANDARD_GRAVITY
 
 FILE = Path(__file__).with_name("fits.parquet")
-# of the largest value of a table
-ROUNDING = {"temp_c": 1e-6, "turn_rate": 1e-6, "error": 1e-4} | {f"{sensor}_offset": 1e-6 for sensor in SENSORS}
-ROUNDING |= {f"{sensor}_matrix": 1e-5 for sensor in SENSORS}
 AGREES = 1e-3  # of the largest value: rounding and another processor differ by less
 
-# ---- keys
+Fit = dict[str, FloatArray]  # arrays by their names, none if the session could not calibrate the device
+
+# shape of each array, and its rounding relative to its largest value
+ARRAYS: dict[str, tuple[tuple[int, ...], float]] = {
+    "gyro.matrix": ((3, 3), 1e-7),
+    "gyro.offset": ((3,), 1e-7),
+    "gyro.g_sensitivity": ((3, 3), 1e-7),
+    "accel.matrix": ((3, 3), 1e-7),
+    "accel.offset": ((3,), 1e-7),
+    "static.temp_c": ((-1,), 1e-6),
+    "static.gyro_offset": ((-1, 3), 1e-6),
+    "static.accel_offset": ((-1, 3), 1e-6),
+    "scale.temp_c": ((-1,), 1e-6),
+    "scale.gyro_matrix": ((-1, 3, 3), 1e-5),
+    "scale.accel_matrix": ((-1, 3, 3), 1e-5),
+    "dynamic.temp_c": ((-1,), 1e-6),
+    "dynamic.turn_rate": ((-1,), 1e-6),
+    "dynamic.error": ((-1, 3), 1e-4),
+    "lag.seconds": ((2,), 1e-6),
+}
+TABLES: dict[str, Any] = {"static": StaticDrift, "scale": ScaleDrift, "dynamic": DynamicDrift}
 
 
 def device_text(device: DeviceModel) -> str:
@@ -47,124 +62,97 @@ def key_of(device: str, session: CalibrationSession | str, *words: Any) -> int:
     return int.from_bytes(hashlib.blake2b(repr((device, session, words)).encode(), digest_size=8).digest(), "big")
 
 
-# ---- values
-
-Values = tuple[FloatArray, bytes]
-_TABLES = {
-    f"{table}.{field}": (table, field)
-    for table, fields in (
-        ("static", ("temp_c", "gyro_offset", "accel_offset")),
-        ("scale", ("temp_c", "gyro_matrix", "accel_matrix")),
-        ("dynamic", ("temp_c", "turn_rate", "error")),
-    )
-    for field in fields
-}
-
-
-def pack(calibration: Calibration | None) -> Values | None:
-    """Return the values of a fit, or NaN if it failed. Return None if the file cannot contain all its values."""
+def pack(calibration: Calibration | None) -> Fit | None:
+    """Return the arrays of a fit. Return None if the file cannot contain all its values."""
     if calibration is None:
-        return np.full(33, np.nan), b""
-    gyro, accel = calibration.gyro, calibration.accel
+        return {}
+    gyro, accel, drift = calibration.gyro, calibration.accel, calibration.drift
     parts = [getattr(triad, name) for triad in (gyro, accel) for name in ("moving_offset", "code_offset")]
     if gyro is None or accel is None or calibration.adc is not None or any(part is not None for part in parts):
         return None
-    sensitivity = np.zeros((3, 3)) if gyro.g_sensitivity is None else gyro.g_sensitivity
-    values = (gyro.matrix, gyro.offset, sensitivity, accel.matrix, accel.offset)
-    return np.concatenate([np.ravel(part) for part in values]), pack_tables(calibration.drift)
+    sources: dict[str, Any] = {"gyro": gyro, "accel": accel} | {table: getattr(drift, table, None) for table in TABLES}
+    fit: Fit = {} if drift is None else {"lag.seconds": np.array((drift.lag_s, drift.lag_smooth_s))}
+    for name in ARRAYS:
+        source, _, field = name.partition(".")
+        array = getattr(sources.get(source), field, None)
+        if array is not None:
+            fit[name] = array
+    return fit
 
 
-def unpack(values: Values, device: DeviceModel, reference_temp_c: float) -> Calibration | None:
-    """Return the fit of a device from its values, or None if it failed."""
-    numbers, tables = values
-    if np.isnan(numbers).all():
+def unpack(fit: Fit, device: DeviceModel, reference_temp_c: float) -> Calibration | None:
+    """Return the fit of a device from its arrays, or None if it failed."""
+    if not fit:
         return None
-    gyro = bare_model("gyro", device.gyro.unit, numbers[:9].reshape(3, 3), numbers[9:12])
+    parts = dict[str, dict[str, FloatArray]]()
+    for name, array in fit.items():
+        source, _, field = name.partition(".")
+        parts.setdefault(source, {})[field] = array
+    gyro = bare_model("gyro", device.gyro.unit, parts["gyro"]["matrix"], parts["gyro"]["offset"])
+    drift = None
+    if "lag" in parts:
+        tables = {table: kind(**parts[table]) for table, kind in TABLES.items() if table in parts}
+        lag_s, smooth_s = parts["lag"]["seconds"].tolist()
+        drift = DriftTables(lag_s=lag_s, lag_smooth_s=smooth_s, **tables)
     return Calibration(
         device=device.serial,
         reference_temp_c=reference_temp_c,
         gravity_m_s2=STANDARD_GRAVITY,
-        gyro=replace(gyro, g_sensitivity=numbers[12:21].reshape(3, 3)) if numbers[12:21].any() else gyro,
-        accel=bare_model("accel", device.accel.unit, numbers[21:30].reshape(3, 3), numbers[30:]),
-        drift=unpack_tables(tables),
+        gyro=replace(gyro, g_sensitivity=parts["gyro"].get("g_sensitivity")),
+        accel=bare_model("accel", device.accel.unit, parts["accel"]["matrix"], parts["accel"]["offset"]),
+        drift=drift,
     )
 
 
-def pack_tables(drift: DriftTables | None) -> bytes:
-    """Return tables over temperature as compressed second differences."""
-    if drift is None:
-        return b""
-    steps, words = dict[str, Any](), list[bytes]()
-    for name, (table, field) in _TABLES.items():
-        array = getattr(getattr(drift, table), field, None)
-        if array is not None:
-            step = ROUNDING[field] * float(np.abs(array).max()) or 1.0
-            counts = np.round(array / step).astype(np.int64)
-            steps[name] = step, array.shape
-            words.append(np.diff(counts, n=2, axis=0, prepend=np.zeros_like(counts[:2])).astype("<i4").tobytes())
-    head = json.dumps({"lag": (drift.lag_s, drift.lag_smooth_s), "steps": steps}).encode()
-    return zlib.compress(len(head).to_bytes(4, "little") + head + b"".join(words), 9)
-
-
-def unpack_tables(text: bytes) -> DriftTables | None:
-    """Return tables over temperature from compressed second differences."""
-    if not text:
-        return None
-    plain = zlib.decompress(text)
-    start = 4 + int.from_bytes(plain[:4], "little")
-    head, parts = json.loads(plain[4:start]), dict[str, dict[str, FloatArray]]()
-    for name, (step, shape) in head["steps"].items():
-        differences = np.frombuffer(plain, "<i4", int(np.prod(shape)), start).reshape(shape).astype(np.int64)
-        start += 4 * differences.size
-        table, field = _TABLES[name]
-        parts.setdefault(table, {})[field] = step * differences.cumsum(axis=0).cumsum(axis=0)
-    kinds: dict[str, Any] = {"static": StaticDrift, "scale": ScaleDrift, "dynamic": DynamicDrift}
-    tables: dict[str, Any] = {table: kinds[table](**fields) for table, fields in parts.items()}
-    return DriftTables(lag_s=head["lag"][0], lag_smooth_s=head["lag"][1], **tables)
-
-
-def agree(fitted: Values | None, shipped: Values) -> bool:
+def agree(fitted: Fit | None, shipped: Fit) -> bool:
     """Return True if two fits are the same within rounding."""
-    if fitted is None or bool(fitted[1]) != bool(shipped[1]):
+    if fitted is None or {name: x.shape for name, x in fitted.items()} != {
+        name: x.shape for name, x in shipped.items()
+    }:
         return False
-    pairs = [(fitted[0][part], shipped[0][part]) for part in map(slice, (0, 9, 12, 21, 30), (9, 12, 21, 30, 33))]
-    tables = [_arrays(unpack_tables(each[1])) for each in (fitted, shipped)]
-    if [array.shape for array in tables[0]] != [array.shape for array in tables[1]]:
-        return False
-    pairs += [(tables[0][k], tables[1][k]) for k in range(len(tables[0]))]
-    return all(np.allclose(a, b, rtol=0.0, atol=AGREES * np.abs(b).max(), equal_nan=True) for a, b in pairs)
-
-
-def _arrays(drift: DriftTables | None) -> list[FloatArray]:
-    arrays = [getattr(getattr(drift, table, None), field, None) for table, field in _TABLES.values()]
-    return [array for array in arrays if array is not None]
+    return all(np.allclose(fitted[name], x, rtol=0.0, atol=AGREES * np.abs(x).max()) for name, x in shipped.items())
 
 
 # ---- the file
 
 
 @cache
-def shipped_fits() -> Mapping[int, Values]:
+def shipped_fits() -> Mapping[int, Fit]:
     """Return all fits of the file by their key, none if there is no file."""
     import pyarrow.parquet as pq
 
     if not FILE.exists():
         return {}
-    table = pq.read_table(FILE)
-    numbers = np.array(table["values"].to_pylist(), dtype=float)
-    tables = table["tables"].to_pylist()
-    return {key: (numbers[k], tables[k]) for k, key in enumerate(table["key"].to_pylist())}
+    rows = pq.read_table(FILE).to_pylist()
+    return {row["key"]: _read(row) for row in rows}
 
 
-def write_fits(fits: Mapping[int, Values], notes: Mapping[str, str], path: Path = FILE) -> None:
+def _read(row: dict[str, Any]) -> Fit:
+    fit: Fit = {}
+    for name, (shape, _) in ARRAYS.items():
+        if row[name] is not None:
+            step, *differences = row[name]
+            fit[name] = step * np.reshape(differences, shape).cumsum(axis=0).cumsum(axis=0)
+    if "dynamic.error" in fit:
+        fit["dynamic.error"] = fit["dynamic.error"].reshape(len(fit["dynamic.temp_c"]), -1, 3)
+    return fit
+
+
+def write_fits(fits: Mapping[int, Fit], notes: Mapping[str, str], path: Path = FILE) -> None:
     """Write fits by their key."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    keys = sorted(fits)
-    columns = {
-        "key": pa.array(keys, pa.uint64()),
-        "values": pa.array([fits[key][0].astype(np.float32) for key in keys], pa.list_(pa.float32())),
-        "tables": pa.array([fits[key][1] for key in keys], pa.binary()),
-    }
+    columns = {"key": pa.array(sorted(fits), pa.uint64())}
+    for name, (shape, rounding) in ARRAYS.items():
+        arrays = [fits[key].get(name) for key in sorted(fits)]
+        rows = [None if array is None else _differences(array.reshape(shape), rounding) for array in arrays]
+        columns[name] = pa.array(rows, pa.list_(pa.float64()))
     pq.write_table(pa.table(columns, metadata=dict(notes)), path, compression="zstd", compression_level=19)
+
+
+def _differences(array: FloatArray, rounding: float) -> FloatArray:
+    """Return the rounding step of an array, and the second differences of its rounded values along the first axis."""
+    step = rounding * float(np.abs(array).max()) or 1.0
+    counts = np.round(array / step)
+    return np.append(step, np.diff(counts, n=2, axis=0, prepend=np.zeros((2, *array.shape[1:]))))
