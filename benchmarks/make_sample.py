@@ -27,13 +27,13 @@ def main(folder: Path) -> None:
     rest = replace(room, name="rest", faces=("+z",), face_s=REST_S, turn_rate_step=0.0)
     folder.mkdir(parents=True)
     with tempfile.TemporaryDirectory() as temporary:
-        record_on_bench(replace(plan, bench=room), device, folder, tell=lambda what, left_s: None)
+        record_on_bench(replace(plan, bench=room), device, folder, tell=lambda what, share: None)
         recorded = Path(temporary)
         record_on_bench(
             replace(plan, bench=rest, thermal=replace(rest, name="again", face_s=1.0)),
             device,
             recorded,
-            tell=lambda what, left_s: None,
+            tell=lambda what, share: None,
         )
         (piece,) = (recorded / "rest" / "pieces").iterdir()
         shutil.copy(piece, folder / "rest.parquet")

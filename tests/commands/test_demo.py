@@ -75,7 +75,7 @@ def test_a_full_disk_under_its_table_is_no_run_to_resume(undrift, tmp_path, monk
 
 
 def test_a_bench_that_is_interrupted_keeps_what_was_done(tmp_path):
-    def interrupt(what: str, left_s: float) -> None:
+    def interrupt(what: str, share: float) -> None:
         if "dwelling" in what:
             raise KeyboardInterrupt
 

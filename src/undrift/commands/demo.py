@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from undrift.base.options import WRITTEN, Flag, verb
 from undrift.base.summary import Cells, Section, Summary, at, figure_of, plus_minus, table_section
-from undrift.commands import Progress, silent
+from undrift.commands import Progress, part_of, silent
 from undrift.commands.calibrate import calibration_sections
 from undrift.commands.files import check_folder, origin_of, save_json
 from undrift.errors import InputError
@@ -32,7 +32,7 @@ SEED = 2007
 RUNS = ("bench", "thermal")  # folders of an earlier demo
 PAGES = ("report.html", "tables.html")  # the report, and the tables over temperature behind it
 FILES = ("calibration.json", "trial.parquet", "reference.parquet", "corrected.parquet", *PAGES)
-REST_HOST_S = {False: 6.0, True: 3.0}  # forecast of the steps after the runs, host s
+RECORDED, FITTED = 0.75, 0.9  # shares of the time when all is recorded, and when all is fitted
 
 
 @verb
@@ -49,25 +49,18 @@ def demo(*, out: Annotated[Path, WRITTEN] = Path("demo"), quick: Flag = False, p
     from undrift.study.virtual_bench import bench_device, bench_plan, compare_with_truth, record_on_bench
 
     _check_fresh(out)
-    device, plan, whole_s = bench_device(), bench_plan(quick=quick), 0.0
-    after_s = REST_HOST_S[quick]
-
-    def tell(what: str, left_s: float) -> None:
-        nonlocal whole_s
-        whole_s = max(whole_s, left_s)
-        progress(what, 1.0 - left_s / whole_s)
-
+    device = bench_device()
     try:
-        run = record_on_bench(plan, device, out, tell=lambda what, left_s: tell(what, left_s + after_s))
+        run = record_on_bench(bench_plan(quick=quick), device, out, tell=part_of(progress, 0.0, RECORDED))
     except InputError as error:
         if not isinstance(disk := error.__cause__, OSError):
             raise
         raise InputError(
             f"{out}: the recordings cannot be written ({disk.strerror or disk}). Free disk space and run the demo again."
         ) from disk
-    tell("fitting calibration and tables, judging a worn trial", after_s)
+    progress("fitting calibration and tables, judging a worn trial", RECORDED)
     fit, trials = _judge_trials(device, out)
-    tell("report", 0.5 * REST_HOST_S[quick])
+    progress("report", FITTED)
     overview = _summary(out, (run, fit, trials), compare_with_truth(fit, trials, device))
     origin = origin_of(out / "trial.parquet", out / "reference.parquet", out / "calibration.json")
     for name, page in zip(PAGES, (overview, _tables(fit)), strict=True):
@@ -105,7 +98,8 @@ def _judge_trials(device: "DeviceModel", out: Path) -> tuple["BenchFit", tuple["
     from undrift.io.reference import write_reference
     from undrift.io.session import read_session
     from undrift.io.store import read_calibration, write_calibration
-    from undrift.study.virtual_bench import fit_bench, judge_levels, worn_trial
+    from undrift.study.figure3 import judge_compared
+    from undrift.study.virtual_bench import fit_bench, worn_trial
 
     fit = fit_bench(read_session(out / "bench"), read_session(out / "thermal"))
     write_calibration(fit.drift.calibration, out / "calibration.json")
@@ -115,7 +109,7 @@ def _judge_trials(device: "DeviceModel", out: Path) -> tuple["BenchFit", tuple["
     record = read_record(out / "trial.parquet")  # judge the data that are on the disk
     corrected = correct_checked(record, read_calibration(out / "calibration.json"))
     write_record(corrected.record, out / "corrected.parquet")
-    return fit, judge_levels(fit, record, read_reference(out / "reference.parquet"))
+    return fit, judge_compared(fit.drift.calibration, record, read_reference(out / "reference.parquet"))
 
 
 def _summary(
@@ -225,7 +219,7 @@ def _bench(run: "BenchRun") -> Section:
         "Device: three ENC-03J-like gyroscopes and three 3031-like accelerometers, 12 bits, an LM335-like thermometer: the note's, "
         "whose offset drifts by 0.1 deg/s per kelvin. Table: the note's servo, with its control loop, encoder and amplifier. "
         "A run drives them as it drives hardware.",
-        f"It took {run.host_s:.0f} s of this computer: simulated time does not wait. The chamber heats by 10 K a "
+        "Simulated time does not wait for this computer. The chamber heats by 10 K a "
         f"second and the board follows within seconds. A set-point counts as reached after {SOAK.window_s:g} s within "
         f"{SOAK.tolerance_c:g} K and {SOAK.slope_c_per_min:g} K/min. A real chamber needs 0.1 K/min over five minutes.",
     )

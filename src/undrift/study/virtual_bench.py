@@ -9,7 +9,6 @@ busy the host is. The chamber heats by 10 K per second, and the board, with its 
 Real soaks take hours. Only ``compare_with_truth`` uses the hidden truth.
 """
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -34,7 +33,7 @@ from undrift.sim.device.presets import random_device_of
 from undrift.sim.device.truth import true_calibration, true_tables
 from undrift.sim.motion.poses import see
 from undrift.sim.motion.tasks import draw_task
-from undrift.study.figure3 import OPTICS, judge_compared, worn_record
+from undrift.study.figure3 import OPTICS, worn_record
 from undrift.study.sessions import ROOM_TEMP_C
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation.trial import Trial
@@ -48,9 +47,8 @@ THERMOMETER_LAG_S = 5.0  # in the chamber's moving air
 AIR = AirSettings(ramp_c_per_min=600.0, period_s=8.0, damping=0.8, board_lag_s=4.0)
 SOAK = SoakSettings(slope_c_per_min=0.5, window_s=20.0)
 SETTLE_S = 35.0  # forecast of the air: overshoot, then the window
-FAST = 200.0  # simulated seconds per host second, for the forecast only
 
-Tell = Callable[[str, float], None]  # receives the current activity and its remaining time, host s
+Tell = Callable[[str, float], None]  # receives the current activity, and the share of the recordings that is done
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,7 +72,6 @@ class BenchRun:
     plan: BenchPlan
     bench: RunResult
     thermal: RunResult
-    host_s: float  # duration of both, host s
 
 
 def bench_plan(*, quick: bool = False) -> BenchPlan:
@@ -106,23 +103,20 @@ def bench_device() -> DeviceModel:
 
 def record_on_bench(plan: BenchPlan, device: DeviceModel, folder: Path, *, tell: Tell) -> BenchRun:
     """Simulate a bench with a device on it and record both protocols."""
-    began = time.monotonic()
-    chamber = ChamberSetup(soak=SOAK)
-    bench = SimulatedBench(device, SimulatedSettings(air=AIR, chamber=chamber))
+    bench = SimulatedBench(device, SimulatedSettings(air=AIR, chamber=ChamberSetup(soak=SOAK)))
     with stopping_on_signals():
         first = _record(plan, 0, bench, folder, tell)
         second = _record(plan, 1, bench, folder, tell)
-    return BenchRun(plan=plan, bench=first, thermal=second, host_s=time.monotonic() - began)
+    return BenchRun(plan=plan, bench=first, thermal=second)
 
 
 def _record(plan: BenchPlan, which: int, bench: SimulatedBench, path: Path, tell: Tell) -> RunResult:
     """Run a protocol into a folder of its own."""
     protocol, programme = (plan.bench, plan.thermal)[which], plan.programmes[which]
-    later_s = sum(later.duration_s for later in plan.programmes[which + 1 :])
 
     def report(progress: Progress) -> None:
         text = f"{protocol.name} {progress.number + 1}/{progress.steps}: {progress.step}, {progress.phase}"
-        tell(text, (progress.left_s + later_s) / FAST)
+        tell(text, 0.5 * (which + progress.number / progress.steps))
 
     with RunFolder(path / protocol.name, protocol) as folder:
         chamber = bench.chamber if protocol.temperatures_c else None
@@ -158,11 +152,6 @@ def worn_trial(device: DeviceModel, *, seed: int) -> tuple[Record, Reference]:
     performed = draw_task("sit_to_stand", rng=person)
     reference = see(performed, rng=person, settings=OPTICS)
     return worn_record(device, performed, excursion_k=EXCURSION_K, rng=noise), reference
-
-
-def judge_levels(fit: BenchFit, record: Record, reference: Reference) -> tuple[Trial, ...]:
-    """Compare the trial with the optics at each level of correction, and re-zeroed at the rest before it."""
-    return judge_compared(fit.drift.calibration, record, reference)
 
 
 # ---- comparison with the hidden truth
