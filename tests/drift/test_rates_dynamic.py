@@ -89,7 +89,7 @@ def test_an_axis_that_was_not_turned_has_zeros_and_no_uncertainty():
 
 
 def test_one_soak_is_refused_with_its_temperature():
-    with pytest.raises(NotObservable, match=r"54 steps at 1 soaks, 25\.0 to 25\.0 degC"):
+    with pytest.raises(NotObservable, match=r"54 turns .*soaks: 1, 25\.0 to 25\.0 degC"):
         fitted(device(), temps=np.array([25.0]))
 
 

@@ -297,8 +297,8 @@ def fit_dynamic(
     if not axis_points:
         soaks = len(np.unique(steps.soak))
         raise NotObservable(
-            f"dynamic drift: each axis needs turns in three soaks or more, got {len(steps)} turns in {soaks} soaks for all axes, "
-            f"{steps.temp_c.min():.1f} to {steps.temp_c.max():.1f} degC. Repeat the turns at another temperature.",
+            f"dynamic drift: each axis needs turns in three soaks or more, got {len(steps)} turns on all axes together (number of "
+            f"soaks: {soaks}, {steps.temp_c.min():.1f} to {steps.temp_c.max():.1f} degC). Repeat the turns at another temperature.",
             soaks=soaks,
         )
     low_c, high_c = span_c
