@@ -30,7 +30,7 @@ from undrift.rig.judge import (
 )
 from undrift.rig.lock import uninterrupted
 from undrift.rig.manual import ManualRig
-from undrift.rig.rig import TRAVEL_MARGIN, Position, Rig, achieved_turn_rate, check_programme, turn_by
+from undrift.rig.rig import TRAVEL_MARGIN, Position, Rig, achieved_turn_rate, check_programme
 
 POLLS = 20  # number of positions in a short dwell
 POLL_S = 0.1  # time between two positions in a long dwell, host s
@@ -124,7 +124,6 @@ class _Run:
         self._readings, self._mounting, self._rests = bench.readings, bench.mounting, RestCheck()
         self._enabled = False
         self._old_fault: str | None = None
-        self._acceleration = programme.acceleration  # as the controller set it, rad/s2
         self._number, self._step, self._began, self._left_s = 0, programme.steps[0], bench.clock.now(), 0.0
 
     def remember_rests(self) -> None:
@@ -217,8 +216,8 @@ class _Run:
     def _dwell(self, step: Dwell) -> None:
         """Read a dwell. Repeat it if it was disturbed or late."""
         self._enable()
-        if step.purpose == "turn":
-            self._turn_by_angle(step)
+        if isinstance(self._rig, ManualRig) and step.purpose == "turn":
+            self._turn_by_angle(step, self._rig)
             return
         limited = step.turn_rate != 0.0 and self._rig.limits.travel is not None  # another turn would exceed the travel
         for attempt in range(1, ATTEMPTS + 1):
@@ -289,8 +288,8 @@ class _Run:
             self._say(phase, self._readings.latest())
         return self._record(), positions
 
-    def _turn_by_angle(self, step: Dwell) -> None:
-        """Read a turn by a known angle, with the rests before and after it. The rig or the operator reports the angle."""
+    def _turn_by_angle(self, step: Dwell, rig: ManualRig) -> None:
+        """Read a turn by a known angle, with the rests before and after it. The operator reports the angle."""
         rest_s = 0.5 * (step.dwell_s - TURN_S)
         self._say("resting")
         self._clock.wait(step.settle_s)
@@ -298,10 +297,7 @@ class _Run:
         self._readings.start()
         self._clock.wait(rest_s)
         self._say("turning")
-        if isinstance(self._rig, ManualRig):
-            angle = self._rig.move_by(step.angle)
-        else:
-            angle = turn_by(self._rig, step.angle, self._acceleration, self._clock)
+        angle = rig.move_by(step.angle)
         self._say("resting")
         self._clock.wait(rest_s)
         record = self._record()
@@ -343,7 +339,7 @@ class _Run:
             self._say("enabling")
             self._rig.enable(True)
             self._enabled = True
-            self._acceleration = self._rig.set_acceleration(self._programme.acceleration)
+            self._rig.set_acceleration(self._programme.acceleration)
             self._old_fault = self._rig.fault()  # a card reports its last stop until the next move
             self._readings.start()  # readings that are still in a buffer arrive while the table is at rest
 
