@@ -12,7 +12,7 @@ import numpy as np
 from scipy.stats import pearsonr
 
 from undrift.arrays import FloatArray
-from undrift.sim.device.presets import random_device_of
+from undrift.sim.device.presets import random_device
 from undrift.study.figure3 import COMPARED, Figure3, compare_devices, figure3
 from undrift.study.plan import DEVICE
 from undrift.validation.agreement import mean_interval
@@ -51,7 +51,7 @@ def drawn_errors(number: int, seed: int) -> FloatArray:
     difference, deg, and their correlation.
     """
     device, person, *noise = (np.random.default_rng([seed, 3, number, part]) for part in range(6))
-    unit = random_device_of(DEVICE, device)
+    unit = random_device(device, grade=DEVICE)
     result = compare_devices(unit, person, noise[2:], noise[:2], excursion_k=EXCURSION_K)
     largest = (result.simulated_max_deg, result.actual_max_deg, result.simulated_actual_max_deg)
     return np.array((*largest, result.correlation))

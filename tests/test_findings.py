@@ -10,7 +10,7 @@ from undrift.calibration.calibrate import calibrate
 from undrift.errors import UndriftError
 from undrift.findings import Finding, catalogue, told_apart
 from undrift.sim.bench_errors import BenchErrors
-from undrift.sim.device.presets import random_device, random_device_of
+from undrift.sim.device.presets import random_device
 from undrift.sim.motion.bench import BenchSettings
 from undrift.sim.sessions import simulate_session
 from undrift.units import RADIAN_PER_DEGREE
@@ -81,7 +81,7 @@ def sessions():
     errors = BenchErrors(mount_tilt=0.01, wobble=0.003, ripple=0.02, excess=0.05)
     for seed, kind in enumerate(("bench", "ferraris", "multi_position", "six_face") * 3):
         rng = np.random.default_rng(seed)
-        device = (random_device if seed % 3 else lambda g: random_device_of("enc03j_3031", g))(rng)
+        device = (random_device if seed % 3 else lambda g: random_device(g, grade="enc03j_3031"))(rng)
         settings = BenchSettings(
             errors=replace(
                 errors if seed > 4 else BenchErrors(),

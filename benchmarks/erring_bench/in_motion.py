@@ -9,7 +9,6 @@ Therefore only the symmetric part of cross-axis terms counts.
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import get_args
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from undrift.model import TriadModel
 from undrift.record import Record, Session
 from undrift.sim.device.effects import BiasInstability
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.device.presets import GradeName, random_device
+from undrift.sim.device.presets import GRADES, random_device
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.tasks import draw_task
@@ -37,7 +36,7 @@ CROSS = 0.5 * (np.eye(9)[[1, 2, 5]] + np.eye(9)[[3, 6, 7]])
 
 def rows(devices: int, seed: int) -> Iterator[Row]:
     """Yield the rows of each grade."""
-    for grade in get_args(GradeName):
+    for grade in GRADES:
         rng, tally = np.random.default_rng(seed), Tally("motion alone", f"{grade} part, three recordings in hands")
         for _ in range(devices):
             device = erring(random_device(rng, grade=grade))

@@ -24,7 +24,7 @@ from undrift.model import AdcModel, TriadModel
 from undrift.record import Record, Reference
 from undrift.segments import find_turning
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.device.presets import GradeName, random_device
+from undrift.sim.device.presets import random_device
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.poses import OpticsSettings, see
@@ -42,7 +42,7 @@ CREEP_C, JITTER_S = 1.0, 1e-3
 class Case:
     """One bench."""
 
-    grade: GradeName
+    grade: str
     optics: OpticsSettings
     tripled: str = ""  # source at three times its size: creep, codes, flicker, clock, slow, level, noise or mounting
     errs: bool = False  # 12 bit, flicker, creep, time stamps that jitter, slow errors and a common tilt of the poses

@@ -18,7 +18,7 @@ from undrift.errors import NotObservable
 from undrift.model import Calibration, Verdict
 from undrift.record import Session, Still
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.device.presets import random_device_of
+from undrift.sim.device.presets import random_device
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.motion import Motion
@@ -54,7 +54,7 @@ def rows(devices: int, seed: int) -> Iterator[Row]:
 def _add_device(
     rng: np.random.Generator, course: FloatArray, effects: bool, tallies: dict[tuple[int, float], Tally]
 ) -> None:
-    device = random_device_of("icm20948" if course is FEW else "enc03j_3031", rng)
+    device = random_device(rng, grade="icm20948" if course is FEW else "enc03j_3031")
     disabled = {} if effects else {"hysteresis": None, "adc": None, "low_pass": None}
     device = replace(
         device, gyro=replace(device.gyro, warm_up=None, **disabled), accel=replace(device.accel, lever_arm=None)

@@ -7,14 +7,14 @@ import numpy as np
 
 import undrift
 from undrift.report.figures import save_figure
-from undrift.sim.device.presets import random_device_of
+from undrift.sim.device.presets import random_device
 from undrift.sim.thermal import ThermalSettings
 
 
 def draw(folder: Path) -> None:
     """Draw it into a folder."""
     rng = np.random.default_rng(3)
-    device = random_device_of("enc03j_3031", rng)
+    device = random_device(rng, grade="enc03j_3031")
     session = undrift.simulate_thermal_session(
         "soak",
         device,

@@ -11,7 +11,7 @@ import numpy as np
 import undrift
 from undrift.orientation import OrientSettings, sagittal_pitch
 from undrift.report.figures import DEVICE, ERROR, OPTICS, new_figure, save_figure
-from undrift.sim.device.presets import preset, random_device_of
+from undrift.sim.device.presets import preset, random_device
 from undrift.sim.motion.tasks import draw_task
 from undrift.sim.thermal import ThermalSettings
 from undrift.study.figure3 import worn_record
@@ -21,7 +21,7 @@ from undrift.units import STANDARD_GRAVITY
 def draw(folder: Path) -> None:
     """Draw it into a folder."""
     rng = np.random.default_rng(5)
-    device = random_device_of("mpu6050", rng)
+    device = random_device(rng, grade="mpu6050")
     calibration = undrift.calibrate(undrift.simulate_session("bench", device, rng=rng))
     soaks = ThermalSettings(set_points_c=(18.0, 25.0, 32.0, 40.0, 32.0, 25.0, 18.0))
     fit = undrift.fit_drift([undrift.simulate_thermal_session("soak", device, rng=rng, settings=soaks)], calibration)

@@ -15,7 +15,7 @@ from undrift.export.c import export_c
 from undrift.io.column_map import ChannelScale
 from undrift.io.formats import read_counted
 from undrift.model import AdcModel, DriftTables, StaticDrift
-from undrift.sim.device.presets import random_device_of
+from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration, true_tables
 from undrift.sim.sessions import simulate_trial
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -54,7 +54,7 @@ def in_motion():
 def of_the_note():
     """A sit-to-stand of a simulated ENC-03J whose board warms from 20 to 35 degC, true tables over 18 to 75 degC."""
     rng = np.random.default_rng(11)
-    made = random_device_of("enc03j_3031", rng)
+    made = random_device(rng, grade="enc03j_3031")
     rates = np.arange(-100.0, 101.0, 5.0) * RADIAN_PER_DEGREE
     tables = true_tables(made, np.linspace(18.0, 75.0, 115), rates)
     record = simulate_trial("sit_to_stand", made, rng=rng, temp_c=(20.0, 35.0)).record

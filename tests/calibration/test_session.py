@@ -10,7 +10,7 @@ from testkit.findings import only
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.quality import piece_temperatures
 from undrift.calibration.session import at_one_temperature, mean_of_rests
-from undrift.sim.device.presets import random_device_of
+from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.sessions import simulate_session
 from undrift.sim.thermal import ThermalSettings, simulate_thermal_session
@@ -84,7 +84,7 @@ def test_offsets_that_creep_with_temperature_cost_what_their_slope_leaves_unknow
 @pytest.mark.slow
 def test_a_thermal_session_is_calibrated_at_the_set_point_nearest_to_room_temperature() -> None:
     rng = np.random.default_rng(3)
-    device = random_device_of("bmi270", rng)
+    device = random_device(rng, grade="bmi270")
     session = simulate_thermal_session(
         "soak", device, rng=rng, settings=ThermalSettings(set_points_c=(15.0, 27.0, 45.0), faces="six")
     )
@@ -104,7 +104,7 @@ def test_a_thermal_session_is_calibrated_at_the_set_point_nearest_to_room_temper
 @pytest.mark.slow
 def test_faces_at_room_temperature_go_with_the_rates_at_the_nearest_set_point() -> None:
     rng = np.random.default_rng(3)
-    device = random_device_of("bmi270", rng)
+    device = random_device(rng, grade="bmi270")
     settings = ThermalSettings(set_points_c=(15.0, 22.0, 30.0, 45.0), faces="six")
     whole = simulate_thermal_session("soak", device, rng=rng, settings=settings)
     temps = piece_temperatures(whole, whole.stills)
@@ -125,7 +125,7 @@ def test_faces_at_room_temperature_go_with_the_rates_at_the_nearest_set_point() 
 
 def test_a_session_that_warms_a_little_is_left_as_it_is() -> None:
     rng = np.random.default_rng(4)
-    session = simulate_session("bench", random_device_of("bmi270", rng), rng=rng, temp_c=(24.0, 29.0))
+    session = simulate_session("bench", random_device(rng, grade="bmi270"), rng=rng, temp_c=(24.0, 29.0))
     kept, findings = at_one_temperature(session)
     assert kept is session
     assert findings == ()

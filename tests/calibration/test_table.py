@@ -7,6 +7,7 @@ import pytest
 from benchmarks.erring_bench import rate_table as rate_bench
 
 from testkit.cramer_rao import white_device
+from testkit.quiet import without_noise
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.settings import CalibrateSettings
 from undrift.calibration.table import DwellMeans, mountings, table_axes
@@ -26,7 +27,7 @@ QUIET = BenchErrors(mount_tilt=0.5 * DEG, level=0.2 * DEG)
 
 def turned(kind="rate_table", table=QUIET, seed=3, **settings):
     rng = np.random.default_rng(seed)
-    device = white_device(rng).without_noise()
+    device = without_noise(white_device(rng))
     bench = BenchSettings(
         sample_rate_hz=50.0,
         turn_rates=tuple(rate * DEG for rate in (20.0, 50.0, 90.0)),

@@ -12,7 +12,7 @@ from undrift.calibration.calibrate import calibrate
 from undrift.commands.certificate import certificate_content, departures
 from undrift.io.store import content_hash, read_calibration
 from undrift.report.calibration import write_certificate
-from undrift.sim.device.presets import random_device_of
+from undrift.sim.device.presets import random_device
 from undrift.sim.sessions import simulate_session
 
 
@@ -125,7 +125,7 @@ def test_zero_has_no_sign(unit, tmp_path):
 def unit():
     """A unit of a part, and its calibration on a bench."""
     rng = np.random.default_rng(20)
-    device = random_device_of("mpu6050", rng)
+    device = random_device(rng, grade="mpu6050")
     return device, calibrate(simulate_session("bench", device, rng=rng))
 
 

@@ -9,7 +9,7 @@ from testkit.rate_steps import GRAVITY, reading
 from undrift.drift.accel import fit_accel_drift
 from undrift.drift.observe import RestBlocks
 from undrift.errors import NotObservable
-from undrift.sim.device.presets import random_device_of
+from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration, true_tables
 
 NODES = np.arange(20.0, 60.1, 1.0)
@@ -18,7 +18,7 @@ NOISE = 2e-4 * GRAVITY
 
 
 def device(seed=0):
-    made = random_device_of("enc03j_3031", np.random.default_rng(seed))
+    made = random_device(np.random.default_rng(seed), grade="enc03j_3031")
     return replace(made, accel=replace(made.accel, nonlinearity=None, lever_arm=None))
 
 

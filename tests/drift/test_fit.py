@@ -28,7 +28,7 @@ from undrift.errors import InputError, NotObservable
 from undrift.export.constants import pair_at
 from undrift.report.page import write_page
 from undrift.sim.device.effects import RateDrift
-from undrift.sim.device.presets import preset, random_device_of
+from undrift.sim.device.presets import preset, random_device
 from undrift.sim.device.truth import true_calibration, true_tables
 from undrift.sim.motion.bench import BenchSettings
 from undrift.sim.thermal import ChamberSettings, ThermalSettings, simulate_thermal_session
@@ -324,7 +324,7 @@ CUBIC[2, 1] = np.array([1.0, -1.0, 0.7]) * 1e-4
 
 
 def device(seed, **changes):
-    made = random_device_of("enc03j_3031", np.random.default_rng(seed))
+    made = random_device(np.random.default_rng(seed), grade="enc03j_3031")
     return replace(made, gyro=replace(made.gyro, nonlinearity=None, **changes))
 
 

@@ -12,7 +12,7 @@ from undrift.drift.fit import fit_drift
 from undrift.errors import NotObservable
 from undrift.io.formats import write_record
 from undrift.io.store import read_calibration, write_calibration
-from undrift.sim.device.presets import preset, random_device_of
+from undrift.sim.device.presets import preset, random_device
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.tasks import draw_task
@@ -31,7 +31,7 @@ FORMER_TO_COME = np.array([0.0262, 0.0282, 0.0381])  # and for a future switch-o
 def two_weeks():
     """Return a device with a steep offset, its calibration at one temperature, and fourteen days of use."""
     rng = np.random.default_rng(5)
-    device = random_device_of("mpu6050", rng)
+    device = random_device(rng, grade="mpu6050")
     device = replace(
         device,
         gyro=replace(device.gyro, offset=replace(device.gyro.offset, per_k=STEEP)),

@@ -24,10 +24,10 @@ from undrift.errors import InputError, NotObservable
 from undrift.io.session import write_session
 from undrift.model import AdcModel, StaticDrift
 from undrift.record import Record, Session, SetPointMeans, Still
-from undrift.sim.device.presets import preset, random_device_of
+from undrift.sim.device.presets import preset, random_device
 from undrift.sim.device.truth import true_calibration
 
-DEVICE = random_device_of("enc03j_3031", np.random.default_rng(0))
+DEVICE = random_device(np.random.default_rng(0), grade="enc03j_3031")
 
 
 def made(temps=(20.0, 40.0)):

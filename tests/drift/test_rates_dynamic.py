@@ -10,7 +10,7 @@ from testkit.rate_steps import GRID, SOAKS, computed
 from undrift.drift.rates import fit_dynamic, measured_rate, prepared
 from undrift.errors import NotObservable
 from undrift.sim.device.effects import RateDrift
-from undrift.sim.device.presets import random_device_of
+from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration, true_tables
 
 FEW = GRID[1::2]
@@ -21,7 +21,7 @@ CUBIC[2, 1] = np.array([1.0, -1.0, 0.7]) * 1e-4
 
 
 def device(**changes):
-    made = random_device_of("enc03j_3031", np.random.default_rng(0))
+    made = random_device(np.random.default_rng(0), grade="enc03j_3031")
     changes = {"thermal_scale": None, "rate_drift": RateDrift(coefficients=CUBIC), **changes}
     return replace(made, gyro=replace(made.gyro, nonlinearity=None, **changes))
 
@@ -56,7 +56,7 @@ def test_nodes_are_the_imposed_rates_with_zero_and_the_ends_and_every_five_degre
 
 
 def test_rates_measured_beyond_the_imposed_ones_get_a_node():
-    made = random_device_of("enc03j_3031", np.random.default_rng(0))
+    made = random_device(np.random.default_rng(0), grade="enc03j_3031")
     fit = fitted(made)
     assert fit.drift.turn_rate[-1] > 1.01 * FEW[-1]
     # Only the hottest soaks reach it, and not with every axis: a node counts as seen where all turned axes saw it.

@@ -9,7 +9,7 @@ from testkit.rate_steps import GRID, SOAKS, computed, reading
 from undrift.drift.rates import fit_scale, prepared, soak_matrices
 from undrift.errors import InputError, NotObservable
 from undrift.model import StaticDrift
-from undrift.sim.device.presets import random_device_of
+from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration, true_tables
 
 NODES = np.arange(18.0, 75.01, 0.5)
@@ -18,7 +18,7 @@ FEW = GRID[::4]
 
 def device(seed=0, **changes):
     """A device whose rates are straight lines."""
-    made = random_device_of("enc03j_3031", np.random.default_rng(seed))
+    made = random_device(np.random.default_rng(seed), grade="enc03j_3031")
     return replace(made, gyro=replace(made.gyro, nonlinearity=None, rate_drift=None, **changes))
 
 

@@ -107,13 +107,13 @@ def make_inputs(folder: Path, *, soak: bool) -> str:
     from undrift.cli.app import run
     from undrift.io.formats import read_record, write_record
     from undrift.io.store import read_calibration, write_calibration
-    from undrift.sim.device.presets import preset, random_device_of
+    from undrift.sim.device.presets import preset, random_device
     from undrift.sim.device.truth import true_calibration
 
     make_bench(folder)
     rng = np.random.default_rng(8)
     use = DailyUseSettings(days=2, rest_s=15.0, worn_s=20.0, sample_rate_hz=12.5)
-    device = random_device_of("mpu6050", rng)
+    device = random_device(rng, grade="mpu6050")
     for day in simulate_daily_use(device, rng=rng, settings=use, motions=[draw_day(rng, use)]):
         write_record(day.session.records[0], folder / f"2026-03-0{day.number + 1}.parquet")
     write_calibration(true_calibration(preset("mpu6050")), folder / "mpu6050.json")

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from testkit.quiet import without_noise
 from testkit.virtual_clock import VirtualClock
 from testkit.waiting import eventually
 from undrift.errors import InputError
@@ -13,7 +14,7 @@ from undrift.live.hands import ANGLE_SD, TILT_SD, start_hand_held
 from undrift.live.recorder import Recorder
 from undrift.live.transports import source_at
 from undrift.record import FACES
-from undrift.sim.device.presets import random_device, random_device_of
+from undrift.sim.device.presets import random_device
 from undrift.sim.motion.motion import unit_vector
 from undrift.units import STANDARD_GRAVITY
 
@@ -110,7 +111,7 @@ def test_a_turn_is_by_the_angle_about_the_axis_but_for_what_hands_err(held):
 
 
 def test_a_slow_gyroscope_is_turned_within_its_range():
-    slow = random_device_of("enc03j_3031", np.random.default_rng(2))
+    slow = random_device(np.random.default_rng(2), grade="enc03j_3031")
     with start_hand_held(seed=4, device=slow, clock=VirtualClock()) as held:
         held.turn("z", TURN)
         assert np.abs(truth(held, 20.0)[1]).max() < slow.gyro.full_scale
@@ -119,7 +120,7 @@ def test_a_slow_gyroscope_is_turned_within_its_range():
 def test_the_readings_do_not_depend_on_how_often_the_device_is_looked_at():
     said = []
     for steps in ([3.0], [0.07] * 30 + [0.9]):
-        with start_hand_held(seed=4, device=DEVICE.without_noise(), clock=VirtualClock()) as held:
+        with start_hand_held(seed=4, device=without_noise(DEVICE), clock=VirtualClock()) as held:
             rows = []
             held.turn("x", TURN)
             for step in steps:
@@ -171,7 +172,7 @@ def test_its_address_is_read_by_live_at_the_speed_it_has():
 
 def test_a_device_that_nobody_holds_is_laid_on_all_faces_and_turned_about_all_axes():
     clock = VirtualClock()
-    with start_hand_held(seed=4, device=DEVICE.without_noise(), clock=clock) as held:
+    with start_hand_held(seed=4, device=without_noise(DEVICE), clock=clock) as held:
         held.follow()
         rested = set()
         turned = np.zeros(3)

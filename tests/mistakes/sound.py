@@ -10,7 +10,7 @@ import numpy as np
 import undrift
 from undrift.arrays import FloatArray
 from undrift.io.text import write_rows
-from undrift.sim.device.presets import Grade, grade_named
+from undrift.sim.device.presets import Grade, grade_of
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.bench import BenchSettings
 from undrift.sim.motion.motion import Motion
@@ -118,7 +118,7 @@ def _si(grade: Grade) -> Grade:
 @cache
 def phone(seed: int = 11):
     """Return a device that writes rad/s and m/s2; another seed is another device."""
-    return undrift.random_device(np.random.default_rng(seed), grade=_si(grade_named("consumer")))
+    return undrift.random_device(np.random.default_rng(seed), grade=_si(grade_of("consumer")))
 
 
 @cache

@@ -20,7 +20,7 @@ from undrift.fit.curve import not_a_knot
 from undrift.model import Calibration, DriftTables, StaticDrift
 from undrift.sim.device.effects import Scale, SensorChain, Thermometer
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.device.presets import random_device_of
+from undrift.sim.device.presets import random_device
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_calibration, true_tables
 from undrift.sim.motion.bench import BenchSettings
@@ -41,7 +41,7 @@ def quiet_floor(device: DeviceModel) -> float:
 
 
 def note_device(seed: int) -> DeviceModel:
-    made = random_device_of("enc03j_3031", np.random.default_rng(seed))
+    made = random_device(np.random.default_rng(seed), grade="enc03j_3031")
     return replace(made, thermometer=Thermometer(noise_c=0.05))
 
 

@@ -21,7 +21,7 @@ from undrift.drift.fit import fit_drift
 from undrift.model import Calibration, DriftTables
 from undrift.record import Record, Reference, Session
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.device.presets import preset, random_device_of
+from undrift.sim.device.presets import preset, random_device
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_tables
 from undrift.sim.motion.bench import BenchSettings, bench_motion
@@ -166,7 +166,10 @@ def test_units_drawn_from_the_preset_keep_a_small_part_of_their_drift(units: int
     errors = np.stack(
         [
             pitch_errors(
-                random_device_of("enc03j_3031", np.random.default_rng(seed)), up_tables, seed=seed, excursions_k=middle
+                random_device(np.random.default_rng(seed), grade="enc03j_3031"),
+                up_tables,
+                seed=seed,
+                excursions_k=middle,
             )
             for seed in range(units)
         ]

@@ -15,6 +15,7 @@ from scipy.stats import chi2
 from testkit.cohorts import COHORTS, FALSE_ALARM
 from testkit.cramer_rao import Array, Tally, carried, information, jacobian, white_device
 from testkit.data import show
+from testkit.quiet import without_noise
 from undrift.calibration.known_rotation import (
     KnownRotationMode,
     fit_known_rotation,
@@ -83,7 +84,7 @@ def parameters(model: TriadModel) -> Array:
 @pytest.mark.parametrize("mode", ["paper", "affine"])
 def test_faces_and_turns_give_back_the_device_without_noise(mode: KnownRotationMode) -> None:
     rng = np.random.default_rng(1)
-    device = white_device(rng, g_sensitivity=True).without_noise()
+    device = without_noise(white_device(rng, g_sensitivity=True))
     found, wanted = parameters(fitted(device, rng, mode)), reported(truth(device))
     # rounding of a sum of 200 readings; affine, the prior of the g-sensitivity against the flicker and drift of the offset
     share = {"paper": 1e-11, "affine": 1e-7}[mode]

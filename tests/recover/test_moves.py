@@ -13,6 +13,7 @@ import pytest
 from testkit.cohorts import COHORTS
 from testkit.cramer_rao import Array, Tally, information, jacobian, white_device
 from testkit.poses import fit_poses
+from testkit.quiet import without_noise
 from testkit.twins import rotation_matrices
 from undrift.calibration.moves import fit_moves
 from undrift.frames import quaternion_product
@@ -137,7 +138,7 @@ def still_means(record: Record, motion: Motion) -> Array:
 def test_poses_and_turns_give_back_the_device_without_noise() -> None:
     rng = np.random.default_rng(1)
     for _ in range(5):
-        device = white_device(rng).without_noise()
+        device = without_noise(white_device(rng))
         motion = bench_motion("multi_position", rng=rng, settings=SETTINGS)
         record = simulate_device(device, motion, rng=rng).record
         p, gyro, offset, _ = triangular_truth(device)

@@ -20,6 +20,7 @@ from testkit.cramer_rao import (
 )
 from testkit.data import show
 from testkit.findings import codes, only
+from testkit.quiet import without_noise
 from undrift.calibration import sources
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.rate_table import fit_rate_table
@@ -205,7 +206,7 @@ def monte_carlo(walk: float, gravity: bool, devices: int) -> Errors:
 def test_a_bench_session_gives_back_matrix_offset_and_g_sensitivity_without_noise(gravity: bool) -> None:
     for seed in range(2):
         rng = np.random.default_rng(seed)
-        device = white_device(rng, g_sensitivity=gravity).without_noise()
+        device = without_noise(white_device(rng, g_sensitivity=gravity))
         found = calibrate(simulate_session("bench", device, rng=rng, settings=SHORT)).gyro
         true = true_calibration(device).gyro
         assert found is not None

@@ -7,6 +7,7 @@ import pytest
 
 from testkit.cohorts import COHORTS
 from testkit.cramer_rao import Array, Tally, carried, information, inverse_model, jacobian, white_device
+from testkit.quiet import without_noise
 from undrift.calibration.rate_table import fit_rate_table
 from undrift.calibration.settings import Mode
 from undrift.calibration.table import DwellMeans, dwell_means
@@ -68,7 +69,7 @@ def bound(device: DeviceModel, dwells: DwellMeans, free: int = 12) -> Array:
 @pytest.mark.parametrize("mode", ["paper", "affine"])
 def test_dwells_give_back_the_device_without_noise(mode: Mode) -> None:
     rng = np.random.default_rng(1)
-    device = white_device(rng).without_noise()
+    device = without_noise(white_device(rng))
     if mode == "paper":
         device = replace(device, gyro=replace(device.gyro, offset=None))
     record = simulate_device(device, MOTION, rng=rng).record
@@ -80,7 +81,7 @@ def test_dwells_give_back_the_device_without_noise(mode: Mode) -> None:
 
 def test_the_earth_rate_is_taken_out_where_the_latitude_is_known() -> None:
     rng = np.random.default_rng(1)
-    device = white_device(rng).without_noise()
+    device = without_noise(white_device(rng))
     bench = BenchSettings(sample_rate_hz=50.0, still_s=0.5, dwell_s=2.32, turn_rates=(np.pi,), latitude_deg=41.9)
     # Settled dwells last 2 s, one whole turn: what is level averages out.
     motion = bench_motion("rate_table", rng=rng, settings=bench)

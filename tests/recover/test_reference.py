@@ -10,6 +10,7 @@ import pytest
 from testkit.cohorts import COHORTS
 from testkit.cramer_rao import Array, Tally, carried, white_device
 from testkit.data import show
+from testkit.quiet import without_noise
 from testkit.twins import rotation_matrices
 from undrift.calibration.reference import fit_reference
 from undrift.calibration.reference_windows import STRIDE_S
@@ -64,7 +65,7 @@ def error_of(model: TriadModel, device: DeviceModel) -> Array:
 
 def test_poses_give_back_the_device_without_noise() -> None:
     rng = np.random.default_rng(1)
-    device = white_device(rng).without_noise()
+    device = without_noise(white_device(rng))
     still = OpticsSettings(sample_rate_hz=SAMPLE_RATE_HZ, angle_sd=0.0, gaps=2)
     error = error_of(fitted(device, rng, still), device)
     # The lag is found to about a microsecond, at 4 rad/s: 4e-6 rad a window of several rad.

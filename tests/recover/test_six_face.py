@@ -16,6 +16,7 @@ from testkit.cramer_rao import (
     white_device,
 )
 from testkit.data import show
+from testkit.quiet import without_noise
 from undrift.calibration.settings import Mode
 from undrift.calibration.six_face import FaceMeans, face_means, fit_six_face
 from undrift.model import TriadModel
@@ -89,7 +90,7 @@ def error_of(model: TriadModel, device: DeviceModel) -> Array:
 @pytest.mark.parametrize("mode", ["paper", "affine"])
 def test_six_faces_give_back_the_device_without_noise(mode: Mode) -> None:
     rng = np.random.default_rng(1)
-    device = white_device(rng).without_noise()
+    device = without_noise(white_device(rng))
     if mode == "paper":
         device = replace(device, accel=replace(device.accel, offset=None))
     model = fitted(poses_of(device, rng), mode)

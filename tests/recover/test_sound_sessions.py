@@ -13,7 +13,7 @@ from testkit.findings import only
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.settings import CalibrateSettings
 from undrift.sim.bench_errors import BenchErrors
-from undrift.sim.device.presets import random_device, random_device_of
+from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.bench import BenchSettings
 from undrift.sim.sessions import simulate_session
@@ -32,9 +32,8 @@ def sessions(kind, *, labelled=True, devices=len(KINDS), **more):
     """Return a session of each of the devices."""
     made = []
     for seed, name in enumerate(KINDS[:devices]):
-        grade = name in ("consumer", "industrial", "wearable")
         rng = np.random.default_rng(seed)
-        device = random_device(rng, grade=name) if grade else random_device_of(name, rng)
+        device = random_device(rng, grade=name)
         settings = BenchSettings(errors=BenchErrors(face_tilt=0.1 * DEG, hand_axis=0.5 * DEG))
         rng = np.random.default_rng(1000 + seed)
         made.append(simulate_session(kind, device, rng=rng, settings=settings, labelled=labelled, **more))

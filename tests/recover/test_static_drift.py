@@ -12,7 +12,7 @@ from testkit.simulated_device import motion_of
 from undrift.drift.observe import observe_rests
 from undrift.drift.offset import StaticSettings, fit_static
 from undrift.record import Record, Session, Still
-from undrift.sim.device.presets import random_device_of
+from undrift.sim.device.presets import random_device
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_calibration
 from undrift.units import RADIAN_PER_DEGREE
@@ -40,7 +40,7 @@ def fitted(
 ):
     """Return the fit of a drawn device's gyroscopes, the truth at its thermometer's nodes, half the loop, units per deg/s."""
     rng = np.random.default_rng(seed)
-    device = random_device_of(kind, rng)
+    device = random_device(rng, grade=kind)
     gyro = replace(device.gyro, low_pass=None, g_sensitivity=None)  # one sample a second sees no filter; one pose
     gyro = replace(
         gyro,
@@ -169,7 +169,7 @@ def test_a_loop_seen_one_way_is_said_not_to_be_observable():
 
 def test_half_the_loop_is_found_with_its_sign():
     fit, *_ = fitted(3, UP_DOWN, hysteresis=True)
-    device = random_device_of("enc03j_3031", np.random.default_rng(3))
+    device = random_device(np.random.default_rng(3), grade="enc03j_3031")
     true = device.gyro.hysteresis.amplitude * device.gyro.scale.nominal_sensitivity * device.gyro.amplifier.gain
     half, uncertainty = fit.gyro.hysteresis, fit.gyro.hysteresis_uncertainty
     # while cooling the offset is higher by it; without a converter the reading is in volts
@@ -183,7 +183,7 @@ def test_half_the_loop_is_found_with_its_sign():
 @pytest.mark.slow
 def test_a_warm_up_is_told_from_temperature_where_soaks_begin_at_power_on():
     fit, *_, per_dps = fitted(5, UP_DOWN, warm_up=True, fit_warm_up=True)
-    device = random_device_of("enc03j_3031", np.random.default_rng(5))
+    device = random_device(np.random.default_rng(5), grade="enc03j_3031")
     table = fit.table.warm_up
     found = np.array([np.interp(300.0, table.power_on_s, column) for column in table.gyro_offset.T]) / per_dps
     true = -device.gyro.warm_up.amplitude * np.exp(-300.0 / 600.0) / RADIAN_PER_DEGREE

@@ -3,6 +3,7 @@
 import numpy as np
 
 from testkit.demo_session import demo_session
+from testkit.quiet import without_noise
 from undrift.sim.device.presets import random_device
 from undrift.sim.motion.bench import BenchSettings
 from undrift.sim.motion.tasks import GROUP_SIZE, cohort
@@ -22,7 +23,7 @@ def test_a_session_without_labels_keeps_its_readings() -> None:
 
 
 def test_temperature_rises_evenly_from_start_to_end() -> None:
-    device = random_device(np.random.default_rng(1)).without_noise()
+    device = without_noise(random_device(np.random.default_rng(1)))
     session = simulate_session(
         "six_face", device, rng=np.random.default_rng(2), settings=BenchSettings(still_s=1.0), temp_c=(20.0, 30.0)
     )

@@ -9,7 +9,7 @@ from testkit.data import show
 from undrift.errors import InputError
 from undrift.sim.device.effects import WhiteNoise
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.device.presets import random_device_of
+from undrift.sim.device.presets import random_device
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.kernels import add_drift
 from undrift.sim.motion.motion import Motion
@@ -19,7 +19,7 @@ G = 9.80665
 
 
 def device(name: str, seed: int = 3) -> DeviceModel:
-    return random_device_of(name, np.random.default_rng(seed))
+    return random_device(np.random.default_rng(seed), grade=name)
 
 
 def dwells(n: int, *, duration_s: float = 2.0, seed: int = 4) -> ImposedDwells:

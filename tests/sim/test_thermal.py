@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from testkit.quiet import without_noise
 from undrift.correction.correct import correct
 from undrift.errors import InputError
 from undrift.sim.device.effects import RandomWalk, Sampling, Thermometer
@@ -25,7 +26,7 @@ def rng() -> np.random.Generator:
 
 def quiet() -> DeviceModel:
     """The note's device without noise and steps."""
-    device = preset("enc03j_3031").without_noise()
+    device = without_noise(preset("enc03j_3031"))
     return replace(device, gyro=replace(device.gyro, instability=None), accel=replace(device.accel, instability=None))
 
 

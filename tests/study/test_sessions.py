@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from testkit.data import show
-from undrift.sim.device.presets import random_device_of
+from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration
 from undrift.study.case import stream, with_cutoff
 from undrift.study.plan import DEVICE, NOTE_BENCH, note_study
@@ -17,7 +17,7 @@ DPS = np.pi / 180.0
 
 
 def unit(number):
-    return with_cutoff(random_device_of(DEVICE, np.random.default_rng(number)), None)
+    return with_cutoff(random_device(np.random.default_rng(number), grade=DEVICE), None)
 
 
 def scale_error(calibration, device, temp_c):
@@ -64,7 +64,7 @@ def test_means_of_dwells_give_the_matrix_of_recordings(fit):
 def test_motion_alone_does_not_suit_a_device_in_counts():
     assert not SESSIONS["motion"].suits(unit(1))
     assert SESSIONS["hand"].suits(unit(1))
-    assert SESSIONS["motion"].suits(random_device_of("xsens_mti1", np.random.default_rng(1)))
+    assert SESSIONS["motion"].suits(random_device(np.random.default_rng(1), grade="xsens_mti1"))
 
 
 def test_free_motion_stays_within_the_range_of_the_device():

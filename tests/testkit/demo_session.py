@@ -9,7 +9,7 @@ from undrift.record import Session
 from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.effects import Thermometer
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.device.presets import grade_named, random_device
+from undrift.sim.device.presets import grade_of, random_device
 from undrift.sim.device.truth import nominal_calibration
 from undrift.sim.motion.bench import BenchSettings
 from undrift.sim.motion.poses import OpticsSettings
@@ -43,7 +43,7 @@ def demo_session(rng: np.random.Generator, *, quick: bool = False) -> Demo:
     optics = OpticsSettings(delay_s=0.030)
     return Demo(
         device=device,
-        nominal=nominal_calibration(grade_named("consumer")),
+        nominal=nominal_calibration(grade_of("consumer")),
         session=session,
         trial=simulate_trial("sit_to_stand", device, rng=rng, optics=optics, temp_c=25.0),
     )

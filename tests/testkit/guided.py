@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import chi2
 
+from testkit.quiet import without_noise
 from testkit.virtual_clock import VirtualClock
 from undrift.commands.bench.guides import ORDER
 from undrift.live.hands import start_hand_held
@@ -81,7 +82,7 @@ def accel_as_six_faces_see_it(device, gravity_m_s2=STANDARD_GRAVITY):
 
     Half sums and half differences of opposite faces: what bends the accelerometers alike on both is in their offset.
     """
-    quiet = device.without_noise()
+    quiet = without_noise(device)
     with HandFeed(device=quiet) as feed:
         read = {}
         for face in FACES:

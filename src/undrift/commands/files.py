@@ -468,10 +468,10 @@ def _poses(path: Path, columns: "ReferenceMap | None", labels: tuple[str, ...] |
 def device_at(name: str, rng: "np.random.Generator", *, draw: bool) -> "DeviceModel":
     """Return a preset's typical unit, or one drawn within its tolerances, or the device of a file."""
     from undrift.sim.device.model import read_device
-    from undrift.sim.device.presets import PRESETS, preset, random_device_of
+    from undrift.sim.device.presets import PRESETS, preset, random_device
 
     if name in PRESETS:
-        return random_device_of(name, rng) if draw else preset(name)
+        return random_device(rng, grade=name) if draw else preset(name)
     if not Path(name).exists():
         raise InputError(
             f"device: expected a device.json or one of {', '.join(PRESETS)}, got '{name}'. Choose one of them."

@@ -29,7 +29,7 @@ from undrift.fit.triad import first_matrix, fit_of, parameters_of
 from undrift.model import Calibration, TriadModel
 from undrift.record import Record, Reference
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.device.presets import preset_grade
+from undrift.sim.device.presets import grade_of
 from undrift.sim.device.simulate import draw_streams, simulate_device
 from undrift.sim.device.truth import nominal_calibration, true_calibration
 from undrift.sim.motion.poses import OpticsSettings, disturbed
@@ -143,7 +143,7 @@ def _block_means(values: FloatArray, block: int) -> FloatArray:
 
 def _data_sheet(device: DeviceModel, kind: str, rest: Record | None = None) -> Calibration:
     """Return the data sheet as a calibration, with the mean rate of a rest as offset if there is one."""
-    nominal = nominal_calibration(preset_grade(kind))
+    nominal = nominal_calibration(grade_of(kind))
     gyro = nominal.gyro
     if rest is not None and rest.gyro is not None and gyro is not None:
         gyro = replace(gyro, offset=np.nanmean(rest.gyro, axis=0))

@@ -22,7 +22,7 @@ from undrift.errors import FileFormatError, InputError
 from undrift.programme import Protocol, rate_grid, read_protocol
 from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.model import DeviceModel, device_from_json, device_json, read_device
-from undrift.sim.device.presets import PRESETS, preset, preset_grade, random_device, without_assumed
+from undrift.sim.device.presets import PRESETS, grade_of, preset, random_device, without_assumed
 from undrift.sim.motion.tasks import CATEGORIES, DEFAULT, Category, Group, Kind, TaskName, category_tree
 from undrift.study.case import OffsetRule, stream
 from undrift.study.recorded import MotionEntry, RecordedPeople, recorded_people
@@ -168,7 +168,7 @@ class Study(Frame):
         """Return the device that a subject wears, without the errors of assumed size if ``assumed`` is False."""
         if self.worn:
             return device_from_json(json.loads(self.worn))
-        grade = preset_grade(self.device)
+        grade = grade_of(self.device)
         rng = stream(self.seed, self.group, "device", number)
         return random_device(rng, grade=grade if assumed else without_assumed(grade))
 

@@ -29,7 +29,7 @@ from undrift.rig.lock import stopping_on_signals
 from undrift.rig.run import Progress, RigBench, RunResult, run_programme
 from undrift.rig.simulated import AirSettings, SimulatedBench, SimulatedSettings
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.device.presets import random_device_of
+from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration, true_tables
 from undrift.sim.motion.poses import see
 from undrift.sim.motion.tasks import draw_task
@@ -97,7 +97,7 @@ def bench_plan(*, quick: bool = False) -> BenchPlan:
 
 def bench_device() -> DeviceModel:
     """Return the hidden truth: a unit of the note's kind, with its thermometer in moving air."""
-    unit = random_device_of(KIND, np.random.default_rng(UNIT_SEED), serial=f"{KIND}-{UNIT_SEED}")
+    unit = random_device(np.random.default_rng(UNIT_SEED), grade=KIND, serial=f"{KIND}-{UNIT_SEED}")
     return replace(unit, thermometer=replace(unit.thermometer, lag_s=THERMOMETER_LAG_S))
 
 

@@ -18,7 +18,7 @@ from undrift.errors import InputError
 from undrift.io.session import read_session
 from undrift.io.store import read_calibration
 from undrift.record import FACES, Record
-from undrift.sim.device.presets import random_device_of
+from undrift.sim.device.presets import random_device
 
 
 def in_long(*cases):
@@ -225,7 +225,7 @@ def test_many_readings_that_a_recorder_marks_as_missing_restart_it_and_a_single_
 @pytest.mark.parametrize("seed", [7, 9, *in_long(11, 14, 15, 20, 33)])
 def test_a_device_in_counts_that_lies_still_from_the_start_is_not_called_moving(guide, seed):
     """The first points of its cloud are noise, which may lie all around as those of a sphere do."""
-    with HandFeed(seed, random_device_of("enc03j_3031", np.random.default_rng(seed))) as feed:
+    with HandFeed(seed, random_device(np.random.default_rng(seed), grade="enc03j_3031")) as feed:
         assert [light.state for light in feed.watch(guide, 6.0)][8:] == ["unknown face"] * 22
         capture_faces(feed, guide)
 
@@ -303,7 +303,7 @@ def test_silence_is_said(guide, feed):
 
 @pytest.mark.slow
 def test_a_device_in_counts_with_an_unknown_zero_is_turned_over_once(guide):
-    device = random_device_of("enc03j_3031", np.random.default_rng(5))
+    device = random_device(np.random.default_rng(5), grade="enc03j_3031")
     with HandFeed(seed=5, device=device) as feed:
         light = feed.watch(guide, 3.0)[-1]
         assert light.state == "unknown face"

@@ -16,7 +16,7 @@ from undrift.commands.bench.guides import WAYS, SixFaces, Turns
 from undrift.errors import InputError
 from undrift.io.session import read_session
 from undrift.io.store import read_calibration
-from undrift.sim.device.presets import random_device_of
+from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration
 from undrift.units import STANDARD_GRAVITY
 
@@ -86,7 +86,7 @@ def test_six_faces_and_six_turns_calibrate_both_triads_within_their_uncertainty(
 )
 def test_curved_devices_of_data_sheets_over_a_link_that_loses_readings(guide, preset, seed):
     """One reading in 500 is lost. A thermometer is off by up to 2 K: the truth is that of the board's own temperature."""
-    device = random_device_of(preset, np.random.default_rng(seed))
+    device = random_device(np.random.default_rng(seed), grade=preset)
     with HandFeed(seed, device, lossy=0.002) as feed:
         capture_faces(feed, SixFaces(guide.capture))
         capture_turns(feed, guide, within_s=1200.0)  # a turn in which a reading is lost does not count
@@ -153,7 +153,7 @@ def test_a_device_that_is_laid_on_another_face_was_not_turned(guide, feed):
 
 
 def test_a_device_whose_zero_is_not_known_yet_is_turned_over_first(guide):
-    with HandFeed(seed=5, device=random_device_of("enc03j_3031", np.random.default_rng(5))) as feed:
+    with HandFeed(seed=5, device=random_device(np.random.default_rng(5), grade="enc03j_3031")) as feed:
         assert turn(feed, guide, "z")[-1].state == "unknown face"
     assert guide.done == {}
 
@@ -166,14 +166,14 @@ def test_a_touch_is_no_turn(guide, feed):
 
 
 def test_two_turns_are_captured_as_two_where_the_unit_shows_it(guide):
-    with HandFeed(seed=5, device=random_device_of("xsens_mti1", np.random.default_rng(5))) as feed:
+    with HandFeed(seed=5, device=random_device(np.random.default_rng(5), grade="xsens_mti1")) as feed:
         turn(feed, guide, "z", 2.0 * TURN)
     assert guide.done["+z"].turn.angle == pytest.approx(2.0 * TURN)
     assert guide.outcome == "Captured: about z, counter-clockwise, 2 turns."
 
 
 def test_half_a_turn_is_not_counted(guide):
-    with HandFeed(seed=5, device=random_device_of("xsens_mti1", np.random.default_rng(5))) as feed:
+    with HandFeed(seed=5, device=random_device(np.random.default_rng(5), grade="xsens_mti1")) as feed:
         plain = feed.recent
         feed.recent = lambda **lost: (lambda record: replace(record, gyro=0.5 * record.gyro))(plain(**lost))
         turn(feed, guide, "z")

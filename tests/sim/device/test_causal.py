@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from testkit.quiet import without_noise
 from undrift.sim.device.causal import CausalDevice
 from undrift.sim.device.effects import Scene, Thermometer, scene_of
 from undrift.sim.device.presets import preset, random_device
@@ -53,7 +54,7 @@ def situation(kind, seed=1):
 @pytest.mark.parametrize("size", [1, 7, 100_000])
 def test_without_noise_the_readings_are_those_of_the_whole_simulation(kind, size):
     device, motion, temp = situation(kind)
-    device = device.without_noise()
+    device = without_noise(device)
     whole = simulate_device(device, motion, rng=np.random.default_rng(0), temp_c=temp, power_on_s=30.0).record
     scene = scene_of(motion, temp, device.reference_temp_c, 30.0)
     n = min(len(motion), 700 if size == 1 else 100_000)

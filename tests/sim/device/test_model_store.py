@@ -8,14 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from testkit.quiet import without_noise
 from undrift.errors import FileFormatError, InputError
 from undrift.sim.device.model import device_from_json, device_json, read_device, write_device
-from undrift.sim.device.presets import PRESETS, preset, random_device, random_device_of
+from undrift.sim.device.presets import PRESETS, preset, random_device
 
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_a_device_reads_back_as_it_was_written(name: str, tmp_path: Path) -> None:
-    device = random_device_of(name, np.random.default_rng(3))
+    device = random_device(np.random.default_rng(3), grade=name)
     write_device(device, tmp_path / "device.json")
     back = read_device(tmp_path / "device.json")
     assert device_json(back) == device_json(device)
@@ -31,8 +32,8 @@ def test_keys_are_the_names_of_the_fields_in_si_units() -> None:
 
 
 def test_infinite_rails_are_words(tmp_path: Path) -> None:
-    bare = random_device(np.random.default_rng(1)).without_noise()
-    write_device(preset("enc03j_3031").without_noise(), tmp_path / "d.json")
+    bare = without_noise(random_device(np.random.default_rng(1)))
+    write_device(without_noise(preset("enc03j_3031")), tmp_path / "d.json")
     assert read_device(tmp_path / "d.json").gyro.amplifier.high == np.inf  # type: ignore[union-attr]
     assert device_from_json(device_json(bare)).gyro.adc is None
 

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from testkit.quiet import without_noise
 from testkit.simulated_device import motion_of
 from undrift.correction.correct import correct
 from undrift.errors import InputError
-from undrift.sim.device.presets import PRESETS, preset, preset_grade, random_device_of, sensitivity_of
+from undrift.sim.device.presets import PRESETS, grade_of, preset, random_device, sensitivity_of
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import nominal_calibration, true_calibration, true_tables
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -19,8 +20,8 @@ LIMIT_SD = 2.0
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_every_unit_lies_within_the_tolerance_and_a_typical_one_at_half_of_it(name: str) -> None:
-    grade, rng = preset_grade(name), np.random.default_rng(1)
-    units = [random_device_of(name, rng) for _ in range(50)]
+    grade, rng = grade_of(name), np.random.default_rng(1)
+    units = [random_device(rng, grade=name) for _ in range(50)]
     for side in ("gyro", "accel"):
         sheet = getattr(grade, side)
         chains = [getattr(unit, side) for unit in units]
@@ -56,7 +57,7 @@ def test_the_data_sheet_alone_is_within_tolerance_and_the_true_calibration_is_wi
     true = correct(record, true_calibration(device), check=False)
     # What is left: flicker (3 B, stationary), non-linearity at a third of a rad/s, g: 0.01 deg/s; hysteresis of 0 at rest.
     assert np.abs(true.gyro.mean(axis=0) - rate[0]).max() < 0.03 * DPS  # type: ignore[union-attr]
-    grade = preset_grade(name)
+    grade = grade_of(name)
     sheet = correct(replace(record, device=""), nominal_calibration(grade), check=False)
     off = np.abs(sheet.gyro.mean(axis=0) - rate[0]).max()  # type: ignore[union-attr]
     assert off < LIMIT_SD * (
@@ -66,7 +67,7 @@ def test_the_data_sheet_alone_is_within_tolerance_and_the_true_calibration_is_wi
 
 @pytest.mark.slow
 def test_the_true_tables_undo_a_hot_device_that_bends() -> None:
-    device = random_device_of("enc03j_3031", np.random.default_rng(2)).without_noise()
+    device = without_noise(random_device(np.random.default_rng(2), grade="enc03j_3031"))
     device = replace(
         device,
         gyro=replace(device.gyro, low_pass=None, warm_up=None, hysteresis=None, g_sensitivity=None),
@@ -86,17 +87,17 @@ def test_the_true_tables_undo_a_hot_device_that_bends() -> None:
 
 
 def test_a_preset_that_is_not_one_is_refused() -> None:
-    with pytest.raises(InputError, match=r"unknown preset 'gold'"):
+    with pytest.raises(InputError, match=r"unknown grade or preset 'gold'"):
         preset("gold")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["enc03j_3031", "mpu6050"])
 def test_the_prior_of_a_part_is_the_scatter_of_its_units_over_temperature(name: str) -> None:
-    prior, units = sensitivity_of(name), [random_device_of(name, np.random.default_rng(k)) for k in range(400)]
+    prior, units = sensitivity_of(name), [random_device(np.random.default_rng(k), grade=name) for k in range(400)]
     scales = [unit.gyro.thermal_scale.per_k for unit in units if unit.gyro.thermal_scale]
     offsets = [unit.gyro.offset.per_k[0] / RADIAN_PER_DEGREE for unit in units if unit.gyro.offset]
     # the standard error of a deviation of 1200 draws is 2 %
     assert prior.gyro_scale_percent_per_k == pytest.approx(100.0 * np.std(scales), rel=0.08)
     assert prior.gyro_offset_dps_per_k == pytest.approx(np.std(offsets), rel=0.08)
-    assert prior.thermometer_lag_s == preset_grade(name).thermometer.lag_s
+    assert prior.thermometer_lag_s == grade_of(name).thermometer.lag_s

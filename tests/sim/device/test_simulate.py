@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from testkit.quiet import without_noise
 from testkit.simulated_device import chain, device_of, motion_of, run, still_motion
 from undrift.correction.correct import correct
 from undrift.errors import InputError
@@ -29,7 +30,7 @@ SHORT = BenchSettings(still_s=1.0, turn_rates=(0.5, 1.5), dwell_s=1.0)
 
 
 def test_the_true_calibration_undoes_a_reading_without_noise() -> None:
-    device = random_device(np.random.default_rng(1)).without_noise()
+    device = without_noise(random_device(np.random.default_rng(1)))
     motion = bench_motion("bench", rng=np.random.default_rng(2), settings=SHORT)
     record = simulate_device(device, motion, rng=np.random.default_rng(3), temp_c=40.0).record
     done = correct(record, true_calibration(device, temp_c=40.0))

@@ -730,13 +730,6 @@ class SensorChain(Effect):
         offset = self.offset or Offset()
         return replace(self, offset=replace(offset, constant=offset.constant + by))
 
-    def without_noise(self) -> "SensorChain":
-        """Return the same sensors without noise, rounding and range limits. The unit of the reading does not change."""
-        free = Amplifier(gain=self._amplified.gain / self._per_code, null=self.null)
-        needed = self.amplifier is not None or self._per_code != 1.0
-        quiet = dict.fromkeys(("white_noise", "instability", "random_walk", "adc"))
-        return replace(self, **quiet, amplifier=free if needed else None)  # type: ignore[arg-type]
-
 
 def effects_of(chain: SensorChain) -> tuple[str, ...]:
     """Return the names of the active effects, in order."""

@@ -5,7 +5,7 @@ No matrix is inverted here, because the correction that undrift fits uses other 
 is switched off. Infinite numbers are "inf" or "-inf", as JSON has no infinity. Numbers are exact to the last bit.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -27,16 +27,6 @@ class DeviceModel(Effect):
     name: str = ""  # kind of device
     # reliability of its numbers: note, found, calc, known, known-low, assumed, or "drawn" or "fitted" for a unit
     source_tag: str = "assumed"
-
-    def without_noise(self) -> "DeviceModel":
-        """Return the same device without noise, jitter, rounding and range limits."""
-        return replace(
-            self,
-            gyro=self.gyro.without_noise(),
-            accel=self.accel.without_noise(),
-            thermometer=replace(self.thermometer, noise_c=0.0, step_c=0.0),
-            sampling=replace(self.sampling, jitter_s=0.0),
-        )
 
 
 def write_device(device: DeviceModel, path: Path | str) -> None:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -98,7 +98,6 @@ FLOOR = math.sqrt(2.0 * math.log(2.0) / math.pi)  # ratio of the Allan deviation
 ONE_SIDED = math.sqrt(2.0)  # ratio of a data sheet's density to the random walk (see WhiteNoise.random_walk)
 
 UNITS = {"dps": DPS, "g": G, "mg": MG, "ug": 1e-6 * G, "floor": FLOOR, "one_sided": ONE_SIDED}
-GradeName = Literal["consumer", "industrial", "wearable"]
 GRADES = ("consumer", "industrial", "wearable")
 _BOOK: dict[str, Any] = tomllib.loads(Path(__file__).with_name("presets.toml").read_text(encoding="utf-8"))
 # numbers of the digital parts, each ending with its tag, by part and side
@@ -108,20 +107,6 @@ SHEETS: dict[str, dict[str, tuple[Any, ...]]] = {
     if name != "columns"
 }
 PRESETS: tuple[str, ...] = ("enc03j_3031", *SHEETS)
-
-
-def grade_named(name: GradeName) -> Grade:
-    """Return a named grade."""
-    if name not in GRADES:
-        raise InputError(f"grade: unknown grade '{name}'. Use consumer, industrial, wearable, or a Grade.")
-    return _grade(name)
-
-
-def preset_grade(name: str) -> Grade:
-    """Return the spread of a kind of device."""
-    if name not in PRESETS:
-        raise InputError(f"preset: unknown preset '{name}'. Use one of {', '.join(PRESETS)}, or a device.json.")
-    return _grade(name)
 
 
 def without_assumed(grade: Grade) -> Grade:
@@ -136,7 +121,7 @@ def without_assumed(grade: Grade) -> Grade:
 
 def sensitivity_of(name: str) -> TemperatureSensitivity:
     """Return the temperature sensitivity of a kind of device. With a limit a, var = 1 - 2 a phi(a) / erf(a / sqrt 2)."""
-    grade = preset_grade(name)
+    grade = grade_of(name)
     a = min(grade.limit_sd, 10.0)
     within = math.sqrt(1.0 - a * math.exp(-0.5 * a**2) * math.sqrt(2.0 / math.pi) / math.erf(a * math.sqrt(0.5)))
     return TemperatureSensitivity(
@@ -149,7 +134,12 @@ def sensitivity_of(name: str) -> TemperatureSensitivity:
 
 
 @cache
-def _grade(name: str) -> Grade:
+def grade_of(name: str) -> Grade:
+    """Return the spread of a named grade, or of a kind of device."""
+    if name not in PRESETS and name not in GRADES:
+        raise InputError(
+            f"grade: unknown grade or preset '{name}'. Use one of {', '.join((*GRADES, *PRESETS))}, or a Grade."
+        )
     figures: dict[str, Any] = _BOOK.get(name, _BOOK["sheets"]["device"])
     limit = figures.get("limit_sd", math.inf)
     divisor = 1.0 if math.isinf(limit) else limit
@@ -193,15 +183,10 @@ Draw = Callable[[str, float, tuple[int, ...]], FloatArray]  # effect, standard d
 
 def preset(name: str) -> DeviceModel:
     """Return the typical device of a kind, with every error at half its tolerance and signs that alternate with the axis."""
-    return typical_device(preset_grade(name), serial=f"{name}-typical")
+    return typical_device(grade_of(name), serial=f"{name}-typical")
 
 
-def random_device_of(name: str, rng: np.random.Generator, *, serial: str = "") -> DeviceModel:
-    """Draw a random unit of a kind within its tolerances."""
-    return random_device(rng, grade=preset_grade(name), serial=serial)
-
-
-def random_device(rng: np.random.Generator, *, grade: GradeName | Grade = "consumer", serial: str = "") -> DeviceModel:
+def random_device(rng: np.random.Generator, *, grade: str | Grade = "consumer", serial: str = "") -> DeviceModel:
     """Draw one unit of a production run.
 
     Parameters
@@ -209,7 +194,7 @@ def random_device(rng: np.random.Generator, *, grade: GradeName | Grade = "consu
     rng : Generator
         Random generator. Each property has its own stream.
     grade : str or Grade
-        Spread of the units.
+        Spread of the units: consumer, industrial, wearable, a preset, or a Grade.
     serial : str
         Serial number, by default a hash of all properties.
 
@@ -232,7 +217,7 @@ def random_device(rng: np.random.Generator, *, grade: GradeName | Grade = "consu
     """
     from scipy.special import ndtr, ndtri
 
-    chosen = grade_named(grade) if isinstance(grade, str) else grade
+    chosen = grade_of(grade) if isinstance(grade, str) else grade
     streams = draw_streams(rng)
 
     def draw(effect: str, sd: float, shape: tuple[int, ...]) -> FloatArray:
