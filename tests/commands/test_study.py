@@ -8,6 +8,7 @@ import pytest
 from testkit.pages import faults_of
 from undrift.commands.study import study
 from undrift.programme import read_protocol
+from undrift.study.case import EFFECTS
 
 TEXT = """
 [study]
@@ -43,7 +44,7 @@ def test_a_plan_comes_to_an_answer_a_page_and_a_protocol(undrift, plan, tmp_path
     low, high = task["sessions"][0]["single_deg"]
     assert low < task["sessions"][0]["mean_deg"] < high
     assert {effect["parameter"] for effect in task["effects"]} == {"cutoff_hz"}
-    assert set(task["made_of"]) == {"noise", "gyroscope offset", "accelerometer offset", "scale and axes"}
+    assert set(task["made_of"]) == set(EFFECTS)
     runs = pq.read_table(out / "runs.parquet").to_pandas()
     assert (runs["role"] == "session").sum() == 12
     for path in out.glob("session-*.toml"):
