@@ -20,11 +20,11 @@ settled at the start of a dwell, and does not change the mean. A level beyond th
 import math
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
-from typing import Annotated, Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from undrift.arrays import FloatArray, IntArray, Shape, freeze
+from undrift.arrays import FloatArray, IntArray
 from undrift.errors import InputError
 from undrift.programme import Dwell, Protocol, programme_of
 from undrift.record import FACES
@@ -82,22 +82,13 @@ def lay_out(protocol: Protocol) -> TableSession:
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ImposedDwells:
+class ImposedDwells(NamedTuple):
     """True motion of N dwells, in order of time."""
 
-    start_s: Annotated[FloatArray, Shape("n")]  # (N,), begin of each, settled, s since power-on
-    duration_s: Annotated[FloatArray, Shape("n")]  # (N,), s
-    rate_b: Annotated[FloatArray, Shape("n", 3)]  # (N, 3), steady rate, rad/s
-    force_b: Annotated[FloatArray, Shape("n", 3)]  # (N, 3), mean specific force, m/s2
-
-    def __post_init__(self) -> None:
-        freeze(self)
-        if len(self) < 2 or (np.diff(self.start_s) <= 0.0).any() or (self.duration_s <= 0.0).any():
-            raise InputError(f"dwells: expected two or more, one after the other, longer than 0 s, got {len(self)}.")
-
-    def __len__(self) -> int:
-        return len(self.start_s)
+    start_s: FloatArray  # (N,), begin of each, settled, s since power-on
+    duration_s: FloatArray  # (N,), s
+    rate_b: FloatArray  # (N, 3), steady rate, rad/s
+    force_b: FloatArray  # (N, 3), mean specific force, m/s2
 
 
 def impose_turns(
@@ -161,7 +152,7 @@ def mean_readings(
     size = flicker.instability * math.sqrt(math.log(RATIO) / math.pi) if flicker else np.zeros(3)
     sd = np.tile(size, (len(constants), 1))
     walk = np.array(chain.random_walk.bias_walk) if chain.random_walk else np.zeros(3)
-    session = np.array([0, len(dwells)])
+    session = np.array([0, len(dwells.start_s)])
     add_drift(normals, row, dwells.start_s, dwells.duration_s, session, constants, sd, walk, level)
     noise: FloatArray = chain.white_noise.random_walk if chain.white_noise else np.zeros(3)
     adc, variance = chain.adc, (chain.gain * noise) ** 2 / dwells.duration_s[:, None]
@@ -184,7 +175,7 @@ def _steady(chain: SensorChain, imposed: FloatArray, dwells: ImposedDwells, refe
         ("hysteresis", "white_noise", "instability", "random_walk", "amplifier", "low_pass", "adc")
     )
     steady: SensorChain = replace(chain, **off)
-    temp_c = np.full(len(dwells), ROOM_TEMP_C)
+    temp_c = np.full(len(dwells.start_s), ROOM_TEMP_C)
     middle_s = dwells.start_s + 0.5 * dwells.duration_s
     scene = Scene(
         time=middle_s,

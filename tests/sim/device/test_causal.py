@@ -1,14 +1,13 @@
 """A device read as time goes on says what the whole simulation says, however the time is cut."""
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from testkit.quiet import without_noise
-from undrift.sim.device.causal import CausalDevice
-from undrift.sim.device.effects import Scene, Thermometer, scene_of
+from undrift.sim.device.causal import SimulatedDevice
+from undrift.sim.device.effects import Thermometer
 from undrift.sim.device.presets import preset, random_device
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.bench import BenchSettings, bench_motion
@@ -16,24 +15,18 @@ from undrift.sim.motion.bench import BenchSettings, bench_motion
 KINDS = ["consumer", "enc03j_3031"]
 
 
-def cut(scene: Scene, start: int, stop: int) -> Scene:
-    part = slice(start, stop)
-    return replace(
-        scene,
-        time=scene.time[part],
-        temp_c=scene.temp_c[part],
-        warmth=scene.warmth[part],
-        age_s=scene.age_s[part],
-        rate_b=scene.rate_b[part],
-        force_b=scene.force_b[part],
-        angular_acceleration_b=None if scene.angular_acceleration_b is None else scene.angular_acceleration_b[part],
-    )
+STEP_S = 0.01
 
 
-def read_in_pieces(device, scene, mean_rate, cuts, seed=4):
-    causal = CausalDevice(device, scene.step_s, np.random.default_rng(seed))
-    said = [causal.read(cut(scene, a, b), mean_rate[a:b]) for a, b in pairwise(cuts)]
-    return [np.concatenate(parts) for parts in zip(*said, strict=True)]
+def read_in_pieces(device, columns, cuts, *, power_on_s, seed=4):
+    """Read the rows of columns, of which row 0 is met at the first reading."""
+
+    def surroundings(times, step_s):
+        rows = np.rint(times / step_s).astype(int) - 1
+        return tuple(column[rows] for column in columns)
+
+    read = SimulatedDevice(device, surroundings, seed, 0.0, power_on_s=power_on_s - STEP_S)
+    return np.concatenate([read.read(row * STEP_S)[1] for row in cuts[1:]])
 
 
 def situation(kind, seed=1):
@@ -56,9 +49,10 @@ def test_without_noise_the_readings_are_those_of_the_whole_simulation(kind, size
     device, motion, temp = situation(kind)
     device = without_noise(device)
     whole = simulate_device(device, motion, rng=np.random.default_rng(0), temp_c=temp, power_on_s=30.0).record
-    scene = scene_of(motion, temp, device.reference_temp_c, 30.0)
+    columns = (motion.rate_b, motion.angular_acceleration_b, motion.force_b, motion.mean_rate_b, temp)
     n = min(len(motion), 700 if size == 1 else 100_000)
-    gyro, accel, temp_c = read_in_pieces(device, scene, motion.mean_rate_b, [*range(0, n, size), n])
+    said = read_in_pieces(device, columns, [*range(0, n, size), n], power_on_s=30.0)
+    gyro, accel, temp_c = said[:, :3], said[:, 3:6], said[:, 6]
     assert gyro == pytest.approx(whole.gyro[:n], rel=1e-9, abs=1e-9)
     assert accel == pytest.approx(whole.accel[:n], rel=1e-9, abs=1e-9)
     assert temp_c == pytest.approx(whole.temp_c[:n], abs=1e-9)
@@ -66,18 +60,7 @@ def test_without_noise_the_readings_are_those_of_the_whole_simulation(kind, size
 
 def noise_of(device, cuts, n=20_000):
     still = np.zeros((n, 3))
-    time = np.arange(1, n + 1) * 0.01
-    scene = Scene(
-        time=time,
-        step_s=0.01,
-        temp_c=np.full(n, 25.0),
-        warmth=np.zeros(n),
-        age_s=time + 1e6,
-        rate_b=still,
-        angular_acceleration_b=still,
-        force_b=still,
-    )
-    return read_in_pieces(device, scene, still, cuts)[0]
+    return read_in_pieces(device, (still, still, still, still, np.full(n, 25.0)), cuts, power_on_s=1e6)[:, :3]
 
 
 def deviation_of_means(x, length):

@@ -32,7 +32,6 @@ from undrift.arrays import BoolArray, FloatArray, Shape, freeze
 from undrift.base.codec import AnyNumber, stored
 from undrift.errors import InputError, check_choices
 from undrift.frames import cross
-from undrift.sim.motion.motion import Motion
 
 # ---- parameters
 
@@ -107,21 +106,6 @@ class Past:
 
     rng: np.random.Generator
     state: Any = None
-
-
-def scene_of(motion: Motion, temp_c: FloatArray, reference_temp_c: float, power_on_s: float) -> Scene:
-    """Return the scene of a motion."""
-    time = motion.time
-    return Scene(
-        time=time,
-        step_s=float((time[-1] - time[0]) / (len(time) - 1)),
-        temp_c=temp_c,
-        warmth=temp_c - reference_temp_c,
-        age_s=time - time[0] + power_on_s,
-        rate_b=motion.rate_b,
-        angular_acceleration_b=motion.angular_acceleration_b,
-        force_b=motion.force_b,
-    )
 
 
 def check_even(scene: Scene, what: str) -> None:

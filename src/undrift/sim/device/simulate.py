@@ -23,7 +23,6 @@ from undrift.sim.device.effects import (
     SensorChain,
     effects_of,
     sampled,
-    scene_of,
     step_means,
 )
 from undrift.sim.device.model import DeviceModel
@@ -131,7 +130,16 @@ def simulate_device(
     true_temp = frozen(np.full(n, temp) if np.ndim(temp) == 0 else temp, (n,), "temp_c")
     is_known = motion.valid > 0.0
     motion = motion if is_known.all() else _bridged(motion)
-    scene = scene_of(motion, true_temp, model.reference_temp_c, power_on_s)
+    scene = Scene(
+        time=motion.time,
+        step_s=float((motion.time[-1] - motion.time[0]) / (n - 1)),
+        temp_c=true_temp,
+        warmth=true_temp - model.reference_temp_c,
+        age_s=motion.time - motion.time[0] + power_on_s,
+        rate_b=motion.rate_b,
+        angular_acceleration_b=motion.angular_acceleration_b,
+        force_b=motion.force_b,
+    )
     streams, clock = draw_streams(rng), model.sampling
     stamped, taken = ticks = clock.ticks(motion.time, streams.of("jitter"))
     rate = motion.mean_rate_b if clock.gyro_averaging == "interval" else motion.rate_b
