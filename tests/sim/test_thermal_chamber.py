@@ -6,14 +6,21 @@ import numpy as np
 import pytest
 
 from undrift.errors import InputError
-from undrift.sim.thermal import Chamber, ChamberSettings, ThermalSettings, ramp_profile, soak_profile, warm_up_profile
+from undrift.sim.thermal import (
+    ChamberSettings,
+    ThermalChamber,
+    ThermalSettings,
+    ramp_profile,
+    soak_profile,
+    warm_up_profile,
+)
 
 SUDDEN = 1e9  # degC/min: the set-point jumps within a step
 AIR, BOARD, SET_POINT = 0, 2, 3  # columns of a chamber's states
 
 
 def stepped(**settings: float) -> np.ndarray:
-    chamber = Chamber(ChamberSettings(**settings), 20.0)
+    chamber = ThermalChamber(ChamberSettings(**settings), 20.0)
     chamber.ramp_to(30.0, SUDDEN)
     chamber.wait(5000.0)
     return np.array(chamber.states)
@@ -33,7 +40,7 @@ def test_the_board_follows_quick_air_as_an_exponential() -> None:
 
 
 def test_on_a_long_ramp_the_board_lags_by_the_sum_of_the_lags() -> None:
-    chamber = Chamber(ChamberSettings(air_lag_s=60.0, damping=0.7, board_lag_s=200.0), 20.0)
+    chamber = ThermalChamber(ChamberSettings(air_lag_s=60.0, damping=0.7, board_lag_s=200.0), 20.0)
     chamber.ramp_to(80.0, 1.5)
     states = np.array(chamber.states)
     # of the start, 7 K exp(-2400 s / 200 s) is left
@@ -49,7 +56,7 @@ def test_a_ramp_comes_back_and_the_play_remembers_its_turn() -> None:
 
 
 def test_the_set_point_never_moves_faster_than_the_limit_and_arrives() -> None:
-    chamber = Chamber(ChamberSettings(), 18.0)
+    chamber = ThermalChamber(ChamberSettings(), 18.0)
     for set_point_c in (25.0, 20.3):
         chamber.ramp_to(set_point_c, 2.0)
         assert chamber.states[-1][SET_POINT] == set_point_c

@@ -80,7 +80,7 @@ class Profile(NamedTuple):
         return np.asarray(temps[np.concatenate(([0], np.flatnonzero(slope[1:] != slope[:-1]) + 1)).astype(int)])
 
 
-class Chamber:
+class ThermalChamber:
     """A chamber at work: each order moves its clock on."""
 
     def __init__(self, settings: ChamberSettings, start_c: float) -> None:
@@ -137,7 +137,7 @@ def soak_profile(set_points_c: tuple[float, ...], measured_s: float, settings: C
     """Return a programme of soaks: at each set-point wait until the board is soaked, then stay as long as measuring takes."""
     if not set_points_c:
         raise InputError("soaks: at least one set-point is required. Set temperatures in degC.")
-    chamber, soaked_s = Chamber(settings, set_points_c[0]), []
+    chamber, soaked_s = ThermalChamber(settings, set_points_c[0]), []
     for set_point_c in set_points_c:
         chamber.ramp_to(set_point_c, settings.ramp_rate_c_per_min)
         chamber.wait_for_soak()
@@ -184,7 +184,7 @@ class ThermalSettings:
 def ramp_profile(settings: ThermalSettings) -> Profile:
     """Return a ramp from low to high and back."""
     low_c, high_c = settings.ramp_c
-    chamber = Chamber(settings.chamber, low_c)
+    chamber = ThermalChamber(settings.chamber, low_c)
     for set_point_c in (high_c, low_c):
         chamber.ramp_to(set_point_c, settings.ramp_c_per_min)
         chamber.wait(settings.ramp_hold_s)
