@@ -51,7 +51,7 @@ def test_a_plan_comes_to_an_answer_a_page_and_a_protocol(undrift, plan, tmp_path
         assert read_protocol(path).turn_rate_max > 0.0
     again = study(plan, output=tmp_path / "again", workers=2)
     assert again.summary().answer in answer.out  # the same numbers on two processes
-    assert pq.read_table(tmp_path / "again" / "runs.parquet").equals(pq.read_table(out / "runs.parquet"))
+    assert pq.read_table(tmp_path / "again" / "runs.parquet").to_pandas().equals(runs)  # gaps (NaN) are equal in pandas
 
 
 def test_what_cannot_be_run_is_refused(undrift, plan, tmp_path):
