@@ -165,7 +165,7 @@ def test_a_worn_recording_with_another_axis_up_is_warned_of_everywhere_until_the
     words = ["orient", data_path("worn_lowback", "HA_001_Test11.csv.gz"), "--map", tmp_path / "map.toml", *rest]
     headline, advice = (
         "Pitch from forward +x and up +z does not match an upright segment",
-        "take +x as up, and as forward +z",
+        "use +x for --up, and +z or -z for --forward",
     )
     answer = undrift.good(*words)
     assert f"warning: {headline}" in answer.out
