@@ -422,8 +422,13 @@ def test_gyroscope_in_rad_declared_as_deg_is_refused_with_its_unit():
 
 def test_moves_that_contradict_the_turns_are_a_warning_of_their_own():
     fitted = TriadParameters(np.eye(21)[0], np.eye(21), {})
-    assert _combine_with_moves(fitted, Mock(side_effect=NotObservable("no move between rests")))[1] == []
-    (named,) = _combine_with_moves(fitted, Mock(side_effect=PoorFit("moves miss gravity by 30 deg")))[1]
+    assert (
+        _combine_with_moves(fitted, np.zeros((21, 3)), Mock(side_effect=NotObservable("no move between rests")))[1]
+        == []
+    )
+    (named,) = _combine_with_moves(
+        fitted, np.zeros((21, 3)), Mock(side_effect=PoorFit("moves miss gravity by 30 deg"))
+    )[1]
     assert (named.code, named.level) == ("known_rotation.moves_disagree", "warn")
     assert "30 deg" in named.text
 

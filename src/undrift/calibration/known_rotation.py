@@ -16,8 +16,8 @@ about an axis, that column of M keeps the nominal scale, as on a rate table. Sou
     instability    flicker and a steady drift of known size, and a random walk of each sensor with an excess variance (fit/gls.py)
 
 Moves between the rests turn gravity, and determine the matrix as well (moves.py). Both estimates are combined. The turns give the
-parameters x with matrix x_M, the moves give the matrix m. With K = cov(x, x_M) cov(m - x_M)^-1, the estimate is
-x + K (m - x_M).
+parameters x with matrix x_M, the moves give the matrix m. With K = (cov(x, x_M) - cov(x, m)) cov(m - x_M)^-1, the estimate is
+x + K (m - x_M). Turns and moves share the slopes of the scale over temperature: cov(x, m) = D_x D_m'.
 
 .. [1] F. Ferraris, U. Grimaldi, M. Parvis, "Procedure for effortless in-field calibration of three-axial rate gyros and
    accelerometers", Sensors and Materials 7(5), 1995.
@@ -51,7 +51,7 @@ from undrift.errors import Implausible, InputError, NotObservable, PoorFit
 from undrift.findings import Finding, finding
 from undrift.fit.gls import block_size, carried, noise_of_means, solve_inverse
 from undrift.fit.priors import G_SENSITIVITY
-from undrift.fit.triad import TriadFit, TriadParameters, fit_of, inverse_jacobian, parameters_of
+from undrift.fit.triad import TriadFit, TriadParameters, fit_of, inverse_jacobian, offset_of, parameters_of
 from undrift.model import AXES, TriadModel, Verdict
 from undrift.record import Axis, Face, Record, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -209,7 +209,7 @@ def fit_known_rotation(
     axis_uncertainty: float = 0.0,
     cross_axis_prior: float = 0.01,
     creep: Creep | None = None,
-    moves: Callable[[TriadParameters], TriadParameters] | None = None,
+    moves: Callable[[TriadParameters], tuple[TriadParameters, FloatArray]] | None = None,
 ) -> TriadFit:
     """Fit gyroscopes to rests and turns, with their g-sensitivity if there is an accelerometer.
 
@@ -220,8 +220,8 @@ def fit_known_rotation(
     matrix = first_table_matrix(rows.rate, rows.reading, turn_axes, rows.unit)
     _check_turns(np.linalg.inv(matrix), rows, turn_axes)
     sources, findings = _sources(rows, matrix, angle_uncertainty, axis_uncertainty), list[Finding]()
-    if creep is not None:
-        sources["temperature"] = creep.covariance_in_case(rows.rate)
+    warmth = np.zeros((rows.reading.size, 6)) if creep is None else creep.columns_in_case(rows.rate)
+    sources["temperature"] = warmth @ warmth.T
     if mode == "paper":
         fitted, residuals = _closed_form(rows, sources, gravity)
     else:
@@ -232,7 +232,8 @@ def fit_known_rotation(
         gls = solve_inverse(rows.reading, rows.rate, rows.force, matrix, sources, excess=excess, prior=prior)
         fitted, residuals = parameters_of(gls), -gls.residuals.reshape(-1, 3)
         if len(turn_axes) == 3 and moves is not None:
-            fitted, findings = _combine_with_moves(fitted, moves)
+            _, jacobian = offset_of(fitted.matrix, gls.theta[9:12], len(gls.theta))
+            fitted, findings = _combine_with_moves(fitted, jacobian @ gls.gains @ warmth[:, 1::2], moves)
         elif len(turn_axes) < 3:
             findings = [axes_missing([AXES[k] for k in turn_axes], rows.unit, cross_axis_prior)]
         findings = [*findings, *offset_drift(gls)]
@@ -272,17 +273,23 @@ def _closed_form(
 
 
 def _combine_with_moves(
-    turns: TriadParameters, matrix_of: Callable[[TriadParameters], TriadParameters]
+    turns: TriadParameters,
+    warmth: FloatArray,
+    matrix_of: Callable[[TriadParameters], tuple[TriadParameters, FloatArray]],
 ) -> tuple[TriadParameters, list[Finding]]:
-    """Combine turns and moves, and return a finding if they disagree."""
+    """Combine turns and moves, and return a finding if they disagree.
+
+    ``warmth`` (P, 3) is D_x: the change of the parameters by one standard deviation of the slope of each sensor's scale.
+    """
     try:
-        moves = matrix_of(turns)
+        moves, moves_warmth = matrix_of(turns)
     except NotObservable:
         return turns, []
     except PoorFit as error:
         return turns, [finding("known_rotation.moves_disagree", "warn", what=f"the moves were not used: {error}")]
-    difference, spread = moves.theta - turns.theta[:9], moves.covariance + turns.covariance[:9, :9]
-    gain = np.linalg.solve(spread, turns.covariance[:9]).T
+    difference, common = moves.theta - turns.theta[:9], warmth @ moves_warmth.T
+    spread = moves.covariance + turns.covariance[:9, :9] - common[:9] - common[:9].T
+    gain = np.linalg.solve(spread, (turns.covariance[:, :9] - common).T).T
     change = np.eye(len(turns.theta))
     change[:, :9] -= gain
     joined = TriadParameters(
@@ -368,7 +375,7 @@ def calibrate_turns(observed: Observed, mode: str | None, accel: TriadFit | None
     rests = (*observed.stills, *observed.unused_stills((*observed.stills, *turns)))
     rows = rotation_rows(records, rests, turns, matrix=matrix, offset=offset)
     creep = creep_of(observed, rows.pieces, "gyro")
-    moves: Callable[[TriadParameters], TriadParameters] | None = None
+    moves: Callable[[TriadParameters], tuple[TriadParameters, FloatArray]] | None = None
     if model is not None:
         used = [piece for piece in rows.pieces if isinstance(piece, Still)]
         stills = sorted(used, key=lambda still: (still.recording, still.start))

@@ -13,8 +13,8 @@ angle about the vertical is not observable. Generalised least squares (fit/gls.p
 
 d is the offset relative to its mean over the rests, and a source of error that rests and moves share. It consists of flicker and a
 steady drift of known size, a change with temperature, and a random walk with an excess variance. The offset in a move is therefore
-close to the offset of the rests next to it. Other sources are noise, codes and the calibration of the accelerometer. Hand and clock
-add an excess variance in rests, and another in moves.
+close to the offset of the rests next to it. Other sources are noise, codes, jitter of the clock and the calibration of the
+accelerometer. The hand adds an excess variance in rests, and another in moves.
 """
 
 from collections.abc import Sequence
@@ -27,7 +27,15 @@ from undrift.calibration.codes import code_steps, code_variance, limited_by_code
 from undrift.calibration.norm import NAMES, QUADRATIC_SD, TOLERANCE, check_count, fit_norm, judged
 from undrift.calibration.plausibility import check_axis_order, check_own_scale, check_range, stuck_windows
 from undrift.calibration.session import Observed, Outcome
-from undrift.calibration.sources import Creep, creep_of, flicker_of_means, offset_drift, steady_drift, walk_about_mean
+from undrift.calibration.sources import (
+    Creep,
+    creep_of,
+    flicker_of_means,
+    offset_drift,
+    slip_covariance,
+    steady_drift,
+    walk_about_mean,
+)
 from undrift.errors import NotObservable, PoorFit
 from undrift.findings import above, finding
 from undrift.fit.gls import GlsFit, Prior, carried, solve
@@ -226,6 +234,9 @@ class _Problem:
         # (R + J, R + J), covariance of the offset about its mean over the rests, (rad/s)^2, and of a walk of 1 rad/s/sqrt(s)
         flicker = GYRO_FLICKER**2 * flicker_of_means(span) + REST_DRIFT**2 * steady_drift(span)
         self.flicker, self.walk = carried(about_mean, flicker), carried(about_mean, walk_about_mean(span.mean(axis=1)))
+        windows = [slice(first, last + 1) for first, last in zip(moves.first, moves.last, strict=True)]
+        # (J, 3, 3), covariance of the integral of each move by jitter of its time stamps, (raw unit s)^2
+        self.slip = np.array([slip_covariance(moves.time[window], moves.gyro[window]) for window in windows])
         self.creep = creep  # of accelerometers and gyroscopes in the stills
         warmth = np.zeros(len(reading)) if creep is None else creep[1].warmth
         of_moves = 0.5 * (warmth[moves.before] + warmth[moves.before + 1])
@@ -239,6 +250,7 @@ class _Rows(NamedTuple):
     design: FloatArray  # (E, 21)
     by_offset: FloatArray  # (E, 3 R + 3 J), by the offset in each rest and move, rad/s
     by_still: FloatArray  # (E, 3 K), by the direction of gravity in each still
+    by_integral: FloatArray  # (E, 3 J), by the integral of the readings in each move
 
 
 def fit_moves(
@@ -271,9 +283,10 @@ def matrix_of_moves(
     turns: TriadParameters,
     *,
     creep: tuple[Creep, Creep],
-) -> TriadParameters:
+) -> tuple[TriadParameters, FloatArray]:
     """Return the matrix that moves between rests determine in addition to turns by known angles.
 
+    The second value (9, 3) is its change by one standard deviation of the slope of each sensor's scale over temperature.
     Turns and moves together give the point of linearisation, because moves by themselves may determine a scale only to second
     order. At that point the turns are a weak prior, so that contradicting turns cannot enlarge the excess of the moves.
     """
@@ -287,7 +300,8 @@ def matrix_of_moves(
     change = np.abs(fit.theta[:9].reshape(3, 3) - turns.matrix).max()
     if change > CONTRADICTS * np.abs(turns.matrix).max() or _rms_deg(problem, rows) > MISS_DEG[1]:
         raise PoorFit("multi-position gyro: the moves between rests contradict the turns. Check axes and clocks.")
-    return TriadParameters(fit.theta[:9], fit.covariance[:9, :9], {})
+    warmth = fit.gains[:9] @ _scale_slopes(problem, rows, fit.theta)
+    return TriadParameters(fit.theta[:9], fit.covariance[:9, :9], {}), warmth
 
 
 def _descend(problem: _Problem, matrix: FloatArray, turns: FloatArray | None = None) -> tuple[GlsFit, _Rows]:
@@ -364,6 +378,9 @@ def _rows(problem: _Problem, theta: FloatArray) -> _Rows:
         design=np.hstack((matrix_columns, size * offset_columns, size * force_columns)),
         by_offset=by_offset,
         by_still=np.concatenate((np.zeros((3 * rests, 3 * len(n))), still_slopes.reshape(2 * count, -1))),
+        by_integral=np.concatenate(
+            (np.zeros((3 * rests, 3 * count)), block_diag(*(tangent @ cross_matrix(end) @ matrix)))
+        ),
     )
 
 
@@ -381,6 +398,7 @@ def _sources(problem: _Problem, rows: _Rows, theta: FloatArray) -> dict[str, Flo
     sources = {
         "noise": carried(rows.by_still, block_diag(*still_covariance))
         + np.diag(np.append(problem.size**2 * problem.variance, readings)),
+        "clock": carried(rows.by_integral, block_diag(*problem.slip)),
         "level": carried(rows.by_still @ accel_slopes.reshape(-1, 12), problem.accel.covariance[:12, :12]),
         "adc": rest_codes @ rest_codes.T,
         "instability": carried(rows.by_offset, np.kron(problem.flicker, np.eye(3))),
@@ -390,13 +408,20 @@ def _sources(problem: _Problem, rows: _Rows, theta: FloatArray) -> dict[str, Flo
         force, gain = STANDARD_GRAVITY * unit, problem.accel.scale_factor
         columns = np.stack([accel.columns(force[:, j], float(gain[j])) for j in range(3)], axis=1)  # (K, 3, 2)
         directions = np.einsum("kaj,kjs->kajs", -accel_slopes[:, :, 9:], columns).reshape(-1, 6)
-        move_warmth = np.append(np.zeros(rests), np.repeat(problem.warmth[len(problem.reading) :], 2))
-        sensor_rows = (rows.design[:, :9] * theta[:9]).reshape(-1, 3, 3).sum(axis=1)
         offsets = gyro.offset_per_k * np.kron(problem.warmth[:, None], np.eye(3))
-        scales = gyro.scale_per_k * move_warmth[:, None] * sensor_rows
-        slopes = np.hstack((rows.by_still @ directions, rows.by_offset @ offsets, scales))
+        slopes = np.hstack((rows.by_still @ directions, rows.by_offset @ offsets, _scale_slopes(problem, rows, theta)))
         sources["temperature"] = slopes @ slopes.T
     return sources
+
+
+def _scale_slopes(problem: _Problem, rows: _Rows, theta: FloatArray) -> FloatArray:
+    """Return the effect (E, 3) of one standard deviation of the slope of each sensor's scale over temperature."""
+    if problem.creep is None:
+        return np.zeros((len(rows.misfit), 3))
+    count = len(problem.reading)
+    warmth = np.append(np.zeros(problem.reading.size), np.repeat(problem.warmth[count:], 2))
+    sensor_rows = (rows.design[:, :9] * theta[:9]).reshape(-1, 3, 3).sum(axis=1)
+    return np.asarray(problem.creep[1].scale_per_k * warmth[:, None] * sensor_rows)
 
 
 def _tangent(n: FloatArray) -> FloatArray:
