@@ -34,6 +34,7 @@ def study_of(kind: str, devices: int) -> Study:
         tasks=tuple(StudyTask(name=name) for name in TASKS),
         sessions=tuple(SESSIONS[name] for name in SESSION_NAMES),
         subjects=devices,
+        subjects_max=devices,
     )
     return with_categories(study, CATEGORIES)
 

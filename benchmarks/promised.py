@@ -22,7 +22,7 @@ from undrift.rig.folder import RunFolder
 from undrift.rig.run import RigBench, run_programme
 from undrift.rig.simulated import SimulatedBench, SimulatedSettings
 from undrift.sim.device.model import DeviceModel
-from undrift.study.case import make_case, pitch_error_deg, stream, with_cutoff
+from undrift.study.case import make_case, pitch_errors_deg, stream, with_cutoff
 from undrift.study.judge import SessionErrors, judge_sessions
 from undrift.study.plan import Study, StudyTask
 from undrift.study.run import executor, perform, run_study
@@ -37,7 +37,7 @@ NEW = 1000  # number of the first device that the study does not have
 def study_of(devices: int) -> Study:
     """Return a study of a sit-to-stand task with the three sessions."""
     sessions = tuple(SESSIONS[name] for name in NAMES)
-    return Study(tasks=(StudyTask(name="sit_to_stand"),), sessions=sessions, subjects=devices)
+    return Study(tasks=(StudyTask(name="sit_to_stand"),), sessions=sessions, subjects=devices, subjects_max=devices)
 
 
 def promise(study: Study) -> dict[str, SessionErrors]:
@@ -81,7 +81,7 @@ def deliver(study: Study, name: str, number: int, folder: Path) -> float:
     (performed,) = perform(study, study.tasks[0], number)
     rise = float(stream(study.seed, study.group, "temperature", number).uniform(*study.excursion_k))
     case = make_case(device, performed, temp_c=ROOM_TEMP_C + rise, rng=stream(study.seed, "promised", number))
-    return pitch_error_deg(case, calibration, study.offset)
+    return pitch_errors_deg(case, calibration, study.offset)[0]
 
 
 def main() -> int:

@@ -14,6 +14,7 @@ TEXT = """
 [study]
 name = "small"
 subjects = 4
+subjects_max = 4
 target_deg = [0.8, 5.0]
 sessions = ["hand", "three rates", "three rates, warm"]
 [[task]]

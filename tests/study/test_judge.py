@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from undrift.study.judge import judge, judge_parameters, with_test
+from undrift.study.judge import errors_of, judge, judge_parameters, with_test
 from undrift.study.plan import NoteNumbers, Study, StudyTask
 from undrift.study.run import Run
 from undrift.study.sessions import SESSIONS
@@ -24,6 +24,8 @@ def run(task, subject, session, rms, role="session", **more):
         session=session,
         role=role,
         rms_deg=rms,
+        real_time_deg=2.0 * rms,
+        largest_deg=3.0 * rms,
         **about,
     )
 
@@ -83,6 +85,13 @@ def test_an_answer_is_tested_on_the_other_group():
     bad = with_test(outcome, planted(twice, role="testing"), [])
     assert not bad.tasks[0].answers[1].confirmed
     assert bad.tasks[0].answers[1].tested == 40
+
+
+def test_real_time_is_judged_if_it_is_asked_for():
+    runs = planted(MEANS)
+    aligned, now = (errors_of(runs, "step", "hand", timing) for timing in ("aligned", "real time"))
+    np.testing.assert_allclose(now, 2.0 * aligned)
+    assert judge(replace(STUDY, timing="real time"), runs).tasks[1].sessions[0].mean_deg == pytest.approx(now.mean())
 
 
 def test_a_number_that_does_not_matter_is_indifferent_however_small_p_is():

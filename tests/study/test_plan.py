@@ -74,7 +74,7 @@ def test_a_plan_that_cannot_be_run_is_refused(folder, changed, said):
 def test_the_preset_is_the_notes_study():
     study = note_study()
     assert [task.name for task in study.tasks] == list(TABLE_1)
-    assert (study.fit, study.subjects) == ("paper", 30)
+    assert (study.fit, study.timing, study.subjects) == ("paper", "aligned", 30)
     assert [session.name for session in study.sessions] == list(SESSIONS)
     for task in study.tasks:
         rates = [numbers.session().protocol.turn_rates() for *_, numbers in task.variations()]

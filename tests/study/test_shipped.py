@@ -7,7 +7,7 @@ import pytest
 
 from undrift.model import DriftTables, DynamicDrift, ScaleDrift, StaticDrift
 from undrift.study import run as run_module
-from undrift.study.case import pitch_error_deg
+from undrift.study.case import pitch_errors_deg
 from undrift.study.plan import Study, StudyTask
 from undrift.study.run import StudyDevice, with_checked_fits
 from undrift.study.sessions import ROOM_TEMP_C, SESSIONS
@@ -46,7 +46,7 @@ def test_a_fit_from_the_file_leaves_the_same_error(device, tmp_path, monkeypatch
         shipped_fits.cache_clear()
         (case,) = device.cases(STUDY.tasks[0])
         for offset in ("rest", "none"):
-            errors = [pitch_error_deg(case, each, offset) for each in (calibration, read)]
+            errors = [pitch_errors_deg(case, each, offset) for each in (calibration, read)]
             np.testing.assert_allclose(*errors, atol=1e-3)  # deg: a hundredth of the margin
 
 

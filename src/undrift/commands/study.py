@@ -157,7 +157,9 @@ def _planned(
     if subjects is not None:
         if subjects < 3:
             raise InputError(f"study: `subjects` must be 3 or more, got {subjects}.")
-        planned = replace(planned, subjects=subjects)
+        planned = replace(
+            planned, subjects=subjects, subjects_max=max(subjects, planned.subjects_max if plan else subjects)
+        )
     if seed is not None:
         if seed < 0:
             raise InputError(f"study: `seed` must be 0 or more, got {seed}.")
@@ -240,7 +242,7 @@ def _sessions(outcome: "StudyOutcome", task: "TaskOutcome") -> Section:
         if not row.session.suits(device):
             failed = "not for readings in counts"
         if row.failed == outcome.subjects:
-            rows.append((*about, *("–",) * 6, failed))
+            rows.append((*about, *("–",) * 7, failed))
             continue
         low, high = row.interval_deg
         quantile = number(row.quantile_deg) if row.quantile_deg < float("inf") else "–"
@@ -251,14 +253,15 @@ def _sessions(outcome: "StudyOutcome", task: "TaskOutcome") -> Section:
             interval(row.single_deg, ".3f"),
         )
         versus = "best" if row.against_best is None else row.against_best.verdict
-        rows.append((*about, *cells, enough[0] if enough else "–", versus, failed))
+        rows.append((*about, *cells, number(row.real_time_deg), enough[0] if enough else "–", versus, failed))
     heads = (
         "session", "minutes", "instruments", "mean (deg)", "its 95 % interval", "95 % of devices below", "single device, 95 %",
-        "enough for (deg)", "against the best", "devices that fail",
+        "mean in real time", "enough for (deg)", "against the best", "devices that fail",
     )  # fmt: skip
+    timing = "aligned in time, as the note compares" if outcome.study.timing == "aligned" else "in real time"
     text = (
-        f"Root mean square of the pitch error over the motion, aligned in time: {outcome.subjects} devices, {_rise(outcome)} K "
-        f"above the room, {OFFSETS[outcome.study.offset]}.",
+        f"Root mean square of the pitch error over the motion, {timing}: {outcome.subjects} devices, {_rise(outcome)} K above the "
+        f"room, {OFFSETS[outcome.study.offset]}.",
         f"Against the best: better or worse by more than {outcome.study.margin_deg:g} deg, or equivalent within it. The error rate "
         "of all these tests together is 5 %.",
     )
@@ -358,7 +361,7 @@ def study_json(outcome: "StudyOutcome", figure: "Figure3 | None") -> dict[str, A
     from undrift.base.codec import tree_of
 
     planned = outcome.study
-    keys = ("name", "device", "group", "excursion_k", "seed", "offset", "fit", "margin_deg", "target_deg")
+    keys = ("name", "device", "group", "excursion_k", "seed", "offset", "timing", "fit", "margin_deg", "target_deg")
     return {
         **{key: getattr(planned, key) for key in keys},
         "subjects": outcome.subjects,
@@ -389,7 +392,7 @@ def study_json(outcome: "StudyOutcome", figure: "Figure3 | None") -> dict[str, A
 def _task_json(task: "TaskOutcome") -> dict[str, Any]:
     sessions = [
         {"session": row.session.name, "minutes": row.session.length_min, "instruments": row.session.instruments}
-        | {key: getattr(row, key) for key in ("mean_deg", "interval_deg", "single_deg", "failed")}
+        | {key: getattr(row, key) for key in ("mean_deg", "interval_deg", "single_deg", "real_time_deg", "failed")}
         | {"quantile_deg": row.quantile_deg if row.quantile_deg < float("inf") else None}
         | {"against_best": row.against_best and asdict(row.against_best)}
         for row in task.sessions

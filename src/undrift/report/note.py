@@ -53,7 +53,7 @@ FIGURE_1 = (
     ),
     NoteStep(
         "Simulation with the model of the device: angle, and its error",
-        ("study.case.make_case", "study.case.pitch_error_deg"),
+        ("study.case.make_case", "study.case.pitch_errors_deg"),
     ),
     NoteStep(
         "Analysis of variance over the subjects: is p below 0.05?",

@@ -3,8 +3,9 @@
     readings -> correct (offset of the rest subtracted) -> strapdown from the rest, as orient -> pitch
     error = pitch - true pitch
 
-The true pitch is that of the instant to which the readings belong, as in the note. The simulation knows the delay of its device:
-the group delay of the filter, minus the half sample by which strapdown integrates early.
+Two errors are computed. The aligned error compares with the true pitch at the time of the readings, as in the note. The real-time
+error compares with the current true pitch. The simulation knows the delay of its device: the group delay of the filter, minus the
+half sample by which strapdown integrates early.
 
 A kind of error can be switched off. It is set to zero and not removed, so that all other draws stay the same.
 """
@@ -38,7 +39,7 @@ REST_S = 6.0  # the note's rest before a motion
 REST_ENDS_S = 0.2  # before the motion: a person leans before the marked start
 
 OffsetRule = Literal["rest", "motion", "none"]
-EffectName = Literal["noise", "gyroscope offset", "accelerometer offset", "scale and axes", "assumed figures"]
+EffectName = Literal["noise", "gyroscope offset", "accelerometer offset", "scale and axes", "delay", "assumed figures"]
 EFFECTS: tuple[EffectName, ...] = get_args(EffectName)
 ASSUMED: EffectName = (
     "assumed figures"  # errors of a preset whose size no source states: left out where a unit is drawn
@@ -86,7 +87,7 @@ _SCALE: dict[str, tuple[str, ...]] = {
 
 
 def device_without(device: DeviceModel, effect: EffectName) -> DeviceModel:
-    """Return a device without a kind of error. Assumed figures are left out where a unit is drawn."""
+    """Return a device without a kind of error. The delay is removed in the comparison, assumed figures where a unit is drawn."""
     chains = {}
     for name, chain in (("gyro", device.gyro), ("accel", device.accel)):
         fields: dict[str, tuple[str, ...]] = {}
@@ -130,6 +131,7 @@ class Case:
     """A trial ready to be corrected and judged."""
 
     record: Record
+    pitch_now: FloatArray  # (N,), true sagittal pitch, rad
     pitch: FloatArray  # (N,), true sagittal pitch at the instant that the readings belong to, rad
     still: Still  # samples of the rest
     moving: slice  # samples of the motion
@@ -148,14 +150,18 @@ def make_case(
     *,
     temp_c: float,
     rng: np.random.Generator,
+    aligned: bool = True,
 ) -> Case:
     """Simulate a trial of a device that is worn at a board temperature, degC."""
     motion = true_motion(performed)
     record = simulate_device(device, motion, rng=rng, temp_c=temp_c, power_on_s=WORN_S).record
     start, stop = (round(moment * SAMPLE_RATE_HZ) for moment in performed.moving_s)
+    pitch = sagittal_pitch(motion.q_nb)
+    delayed = _delayed(pitch, pitch_delay_s(device) * SAMPLE_RATE_HZ)
     return Case(
         record=record,
-        pitch=_delayed(sagittal_pitch(motion.q_nb), pitch_delay_s(device) * SAMPLE_RATE_HZ),
+        pitch_now=pitch if aligned else delayed,
+        pitch=delayed,
         still=Still(start=0, stop=max(start - round(REST_ENDS_S * SAMPLE_RATE_HZ), 2)),
         moving=slice(start, min(stop + 1, len(motion))),
     )
@@ -174,8 +180,8 @@ def _delayed(pitch: FloatArray, samples: float) -> FloatArray:
     return shifted
 
 
-def pitch_error_deg(case: Case, calibration: Calibration, offset: OffsetRule) -> float:
-    """Return the root-mean-square error of the pitch over the motion, deg.
+def pitch_errors_deg(case: Case, calibration: Calibration, offset: OffsetRule) -> tuple[float, float, float]:
+    """Return the errors of the pitch over the motion, deg: rms aligned, rms in real time, largest aligned.
 
     Raises Implausible if the calibrated accelerometers do not measure gravity at rest.
     """
@@ -192,6 +198,7 @@ def pitch_error_deg(case: Case, calibration: Calibration, offset: OffsetRule) ->
         rates = rates - remainder.at(record.time)
     start = case.still.stop - 1  # the tilt of the rest holds at its end, and strapdown begins there
     pitch = sagittal_pitch(integrate_strapdown(rates[start:], record.time[start:], shortest_rotation_up(upward)))
-    error = (pitch - case.pitch[start:] + np.pi) % (2.0 * np.pi) - np.pi
     moving = slice(case.moving.start - start, case.moving.stop - start)
-    return float(np.sqrt(np.nanmean(error[moving] ** 2))) / RADIAN_PER_DEGREE
+    errors = ((pitch - true[start:] + np.pi) % (2.0 * np.pi) - np.pi for true in (case.pitch, case.pitch_now))
+    aligned, now = (error[moving] / RADIAN_PER_DEGREE for error in errors)
+    return float(np.sqrt(np.nanmean(aligned**2))), float(np.sqrt(np.nanmean(now**2))), float(np.nanmax(np.abs(aligned)))

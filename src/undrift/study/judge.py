@@ -14,7 +14,7 @@ from undrift.arrays import FloatArray
 from undrift.errors import InputError
 from undrift.study.case import EFFECTS
 from undrift.study.methods import MethodRow
-from undrift.study.plan import Parameter, Study, StudyTask
+from undrift.study.plan import Parameter, Study, StudyTask, Timing
 from undrift.study.run import SENSITIVITY_K, Run
 from undrift.study.sessions import CalibrationSession
 from undrift.study.statistics import Anova, adjust_holm, repeated_measures_anova
@@ -35,6 +35,7 @@ class SessionErrors:
     single_deg: tuple[
         float, float
     ]  # prediction interval of a further device, 95 % (or (n - 1) / (n + 1) with fewer than 39)
+    real_time_deg: float  # mean error against the true pitch of now
     failed: int  # devices that the session could not calibrate
     against_best: (
         PairedDifference | None
@@ -104,17 +105,17 @@ class StudyOutcome:
     methods: tuple[MethodRow, ...] = ()  # methods and rivals, for the note's preset
 
 
-def errors_of(runs: Sequence[Run], task: str, session: str, role: str = "session") -> FloatArray:
+def errors_of(runs: Sequence[Run], task: str, session: str, timing: Timing, role: str = "session") -> FloatArray:
     """Return the rms error of each subject, (n,) deg, NaN for a device that was not calibrated."""
     task_runs = sorted(
         (run for run in runs if (run.task, run.session, run.role) == (task, session, role)), key=lambda run: run.subject
     )
-    return np.array([run.rms_deg for run in task_runs])
+    return np.array([run.rms_deg if timing == "aligned" else run.real_time_deg for run in task_runs])
 
 
 def judge_sessions(study: Study, runs: Sequence[Run], task: StudyTask) -> tuple[SessionErrors, ...]:
     """Return every session in a task, the shortest first."""
-    columns = {one.name: errors_of(runs, task.key, one.name) for one in study.sessions}
+    columns = {one.name: errors_of(runs, task.key, one.name, study.timing) for one in study.sessions}
     means = {name: float(np.nanmean(x)) if np.isfinite(x).any() else np.inf for name, x in columns.items()}
     best = min(means, key=lambda name: means[name])
     rows = []
@@ -130,11 +131,12 @@ def judge_sessions(study: Study, runs: Sequence[Run], task: StudyTask) -> tuple[
         if session.name != best and both.sum() >= MIN_PEOPLE:
             tests = len(study.sessions) - 1
             decision = decide_between(errors[both], columns[best][both], margin=study.margin_deg, tests=tests)
+        now = errors_of(runs, task.key, session.name, "real time")
         rows.append(
             SessionErrors(
                 session=session, mean_deg=mean, interval_deg=interval, single_deg=(low, high), failed=int((~valid).sum()),
                 quantile_deg=quantile if valid.all() else float("inf"),  # a device that fails is not below the target
-                against_best=decision,
+                real_time_deg=float(np.nanmean(now)) if np.isfinite(now).any() else nan, against_best=decision,
             )
         )  # fmt: skip
     return tuple(rows)
@@ -165,7 +167,9 @@ def judge_parameters(study: Study, runs: Sequence[Run], task: StudyTask) -> tupl
     effects = []
     for parameter in dict.fromkeys(name for name, *_ in task.variations()):
         values = [(value, numbers) for name, value, numbers in task.variations() if name == parameter]
-        table = np.array([[tried[n.session().name, n.cutoff_hz, k].rms_deg for _, n in values] for k in subjects])
+        table = np.array(
+            [[_error(tried[n.session().name, n.cutoff_hz, k], study.timing) for _, n in values] for k in subjects]
+        )
         table = table[np.isfinite(table).all(axis=1)]
         anova = None
         if len(table) >= MIN_PEOPLE:
@@ -191,6 +195,10 @@ def judge_parameters(study: Study, runs: Sequence[Run], task: StudyTask) -> tupl
     return tuple(replace(effect, p_holm=next(adjusted)) if effect.anova else effect for effect in effects)
 
 
+def _error(run: Run, timing: Timing) -> float:
+    return run.rms_deg if timing == "aligned" else run.real_time_deg
+
+
 def chosen_sessions(outcome: StudyOutcome) -> tuple[tuple[str, str], ...]:
     """Return the task and session of every answer, each once."""
     pairs = [(task.task.key, answer.session) for task in outcome.tasks for answer in (*task.answers, *outcome.for_all)]
@@ -208,7 +216,7 @@ def judge(study: Study, runs: Sequence[Run]) -> StudyOutcome:
     for run in runs:
         if run.role == "sensitivity" or (run.role, run.task) == ("session", study.tasks[0].key):
             rise = run.excursion_k if run.excursion_k in SENSITIVITY_K else float("inf")
-            results_by_rise.setdefault((rise, run.offset, run.session), []).append(run.rms_deg)
+            results_by_rise.setdefault((rise, run.offset, run.session), []).append(_error(run, study.timing))
     sensitivity = tuple(
         (rise, offset, name, float(np.quantile(errors, QUANTILE, method="weibull")))
         for (rise, offset, name), errors in sorted(results_by_rise.items())
@@ -225,9 +233,10 @@ def judge(study: Study, runs: Sequence[Run]) -> StudyOutcome:
 
 def with_test(outcome: StudyOutcome, tested: Sequence[Run], effects: Sequence[Run]) -> StudyOutcome:
     """Return the outcome with the test of its answers on the other group and the shares of each kind of error."""
+    study = outcome.study
 
     def checked(answer: Answer, keys: Sequence[str]) -> Answer:
-        columns = [errors_of(tested, key, answer.session, "testing") for key in keys]
+        columns = [errors_of(tested, key, answer.session, study.timing, "testing") for key in keys]
         if not answer.session or any(not len(column) for column in columns):
             return answer
         worst = np.max(np.nan_to_num(np.array(columns), nan=np.inf), axis=0)
@@ -249,11 +258,11 @@ def breakdown_session(task: TaskOutcome) -> str:
 
 
 def _breakdown(outcome: StudyOutcome, effects: Sequence[Run], task: TaskOutcome) -> tuple[tuple[str, float], ...]:
-    key, name = task.task.key, breakdown_session(task)
+    key, name, timing = task.task.key, breakdown_session(task), outcome.study.timing
     rows = []
     for effect in EFFECTS:
-        without = errors_of(effects, key, name, effect)
-        complete = errors_of(outcome.runs, key, name)[: len(without)]
+        without = errors_of(effects, key, name, timing, effect)
+        complete = errors_of(outcome.runs, key, name, timing)[: len(without)]
         both = np.isfinite(without) & np.isfinite(complete)
         if both.any():
             mean_square = float((complete[both] ** 2).mean())

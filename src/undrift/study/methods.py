@@ -33,7 +33,7 @@ from undrift.sim.device.presets import grade_of
 from undrift.sim.device.simulate import draw_streams, simulate_device
 from undrift.sim.device.truth import nominal_calibration, true_calibration
 from undrift.sim.motion.poses import OpticsSettings, disturbed
-from undrift.study.case import pitch_error_deg, stream
+from undrift.study.case import pitch_errors_deg, stream
 from undrift.study.plan import NOTE_BENCH, Study
 from undrift.study.run import StudyDevice
 from undrift.study.sessions import ROOM_TEMP_C, SESSIONS, SETTLED_S, free_motion
@@ -203,7 +203,7 @@ def _one_device(study: Study, number: int) -> list[tuple[list[float], float]]:
         errors, tilt = [float("nan")] * len(study.tasks), float("nan")
         if calibration is not None:
             with suppress(CalibrationError):
-                errors = [pitch_error_deg(device.cases(task)[0], calibration, study.offset) for task in study.tasks]
+                errors = [pitch_errors_deg(device.cases(task)[0], calibration, study.offset)[0] for task in study.tasks]
                 tilt = _tilt_deg(calibration.accel, truth.accel)
         rows.append((errors, tilt))
     return rows

@@ -30,6 +30,7 @@ from undrift.study.sessions import SESSIONS, CalibrationSession, Fit, table_prot
 from undrift.units import RADIAN_PER_DEGREE
 
 Positive = Annotated[float, Gt(0.0)]
+Timing = Literal["aligned", "real time"]
 DEVICE = "enc03j_3031"  # the note's
 MARGIN_DEG = 0.087  # 0.15 deg at most, as simulated and actual device differ in the note's Figure 3, of an error that grows evenly
 SUBJECTS = 30
@@ -114,12 +115,16 @@ class Frame:
 
     name: str = ""
     device: str = DEVICE  # a preset, of which every subject wears a unit of its own, or the path of a device.json
-    subjects: Annotated[int, Ge(3)] = SUBJECTS  # number of people, each with a unit of the device
+    subjects: Annotated[int, Ge(3)] = SUBJECTS  # least number of people
+    subjects_max: Annotated[int, Ge(3)] = (
+        SUBJECTS  # people are added up to here until the mean errors are known to margin / 4
+    )
     group: Group = "simulation"  # simulation or testing, as in the note's Table 2
     # board temperature of the trials above the room, least and greatest, K
     excursion_k: tuple[float, float] = (10.0, 15.0)
     seed: Annotated[int, Ge(0)] = 0
     offset: OffsetRule = "rest"  # offset that is subtracted in a trial (none in the note)
+    timing: Timing = "aligned"  # compared with the true pitch of the readings' instant, or of now
     fit: Fit = "product"  # paper: the note's matrix and not-a-knot splines
     margin_deg: Positive = MARGIN_DEG  # smallest difference that matters
     target_deg: tuple[Positive, ...] = (0.5, 1.0, 2.0)  # errors that are good enough

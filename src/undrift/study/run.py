@@ -1,4 +1,4 @@
-"""Run a study: each device is calibrated once with every session, and worn in every task.
+"""Run a study: each device is calibrated once with every session and worn in every task, in batches of devices and people.
 
     Session x device -> calibration        shared by all tasks and categories
     Task x person    -> trial              the person of a device's own number
@@ -28,7 +28,7 @@ from undrift.study.case import (
     OffsetRule,
     device_without,
     make_case,
-    pitch_error_deg,
+    pitch_errors_deg,
     stream,
     with_cutoff,
 )
@@ -42,9 +42,11 @@ from undrift.study.sessions import (
     calibrate_by_means,
 )
 from undrift.study.shipped import agree, device_text, key_of, pack, shipped_fits, unpack
+from undrift.validation.agreement import mean_interval
 
 # ---- executors
 
+BATCH = 10  # devices between two looks at the intervals
 SENSITIVITY_K = (0.0, 5.0, 20.0)  # additional temperature rises for the sensitivity, K
 
 
@@ -94,6 +96,8 @@ class Run:
     offset: OffsetRule
     role: str  # "session", "try", "sensitivity", or the effect that is switched off
     rms_deg: float  # NaN if the session could not calibrate the device
+    real_time_deg: float  # rms against the true pitch of now
+    largest_deg: float
 
 
 def perform(study: Study, task: StudyTask, number: int) -> list[Task | RecordedTask]:
@@ -119,6 +123,7 @@ class StudyDevice:
         self.model = unit if without is None else device_without(unit, without)
         self.worn = with_cutoff(self.model, None)
         self.text = device_text(self.worn)
+        self.aligned = without != "delay"
         self.rise_k = float(stream(study.seed, study.group, "temperature", number).uniform(*study.excursion_k))
         self.streams = partial(stream, study.seed, study.group, "bench", number)
         self._calibrations: dict[str, Calibration | None] = {}
@@ -171,6 +176,7 @@ class StudyDevice:
                     performed,
                     temp_c=ROOM_TEMP_C + rise,
                     rng=stream(self.study.seed, self.study.group, "noise", task.name, self.number, place),
+                    aligned=self.aligned,
                 )
                 for place, performed in enumerate(self._performed[task.key])
             ]
@@ -190,14 +196,15 @@ class StudyDevice:
         cases = self.cases(task, cutoff_hz=cutoff_hz, excursion_k=excursion_k)
         rule = offset or self.study.offset
         for session in sessions:
-            calibration, error_deg = self.calibration(session), float("nan")
+            calibration, errors = self.calibration(session), np.full(3, np.nan)
             if calibration is not None:
                 with suppress(CalibrationError):  # such as accelerometers that do not measure gravity
-                    error_deg = float(np.mean([pitch_error_deg(case, calibration, rule) for case in cases]))
+                    errors = np.mean([pitch_errors_deg(case, calibration, rule) for case in cases], axis=0)
             yield Run(
                 task=task.key, subject=self.number, session=session.name, offset=rule, role=role,
                 excursion_k=self.rise_k if excursion_k is None else excursion_k,
-                cutoff_hz=float("nan") if cutoff_hz is None else cutoff_hz, rms_deg=error_deg,
+                cutoff_hz=float("nan") if cutoff_hz is None else cutoff_hz,
+                rms_deg=float(errors[0]), real_time_deg=float(errors[1]), largest_deg=float(errors[2]),
             )  # fmt: skip
 
 
@@ -253,11 +260,31 @@ def with_checked_fits(study: Study, spread: Callable[..., Iterator[Any]]) -> Stu
 def run_study(
     study: Study, spread: Callable[..., Iterator[Any]], advance: Callable[[int, int], None] = lambda done, total: None
 ) -> list[Run]:
-    """Run every device of a study."""
-    people = [len(task.motion.trials) for task in study.tasks if task.motion is not None]
-    count = min([study.subjects, *(number for number in people if number > 1)])  # none of several people counts twice
-    runs = list[Run]()
-    for done, made in enumerate(spread(partial(run_device, study), range(count)), 1):
-        runs += made
-        advance(done, count)
+    """Run devices until the mean error of each session is known to a quarter of the margin, or there are enough."""
+    runs, done = list[Run](), 0
+    wanted = study.subjects
+    people = [
+        len(task.motion.trials) for task in study.tasks if task.motion is not None and len(task.motion.trials) > 1
+    ]
+    most = max(study.subjects_max, study.subjects)
+    if people:  # no person counts twice
+        wanted, most = min(wanted, *people), min(most, *people)
+    while done < wanted:
+        for made in spread(partial(run_device, study), range(done, wanted)):
+            runs += made
+            done += 1
+            advance(done, most)
+        if _is_narrow(study, runs) or wanted >= most:
+            break
+        wanted = min(wanted + BATCH, most)
     return runs
+
+
+def _is_narrow(study: Study, runs: list[Run]) -> bool:
+    cells = dict[tuple[str, str], list[float]]()
+    for run in runs:
+        if run.role == "session" and np.isfinite(run.rms_deg):
+            cells.setdefault((run.task, run.session), []).append(run.rms_deg)
+    best = [min((v for k, v in cells.items() if k[0] == task.key), key=np.mean, default=[]) for task in study.tasks]
+    ends = [mean_interval(np.array(values))[1] for values in best]
+    return all(high - low <= 0.5 * study.margin_deg for low, high in ends)
