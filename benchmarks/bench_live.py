@@ -1,5 +1,6 @@
 """Live readings of 2 kHz x 10 channels from a socket to the device's clock, against the ten minutes that they take."""
 
+import binascii
 import socket
 import threading
 import time
@@ -12,7 +13,7 @@ from undrift.live.transports import source_at
 
 ROWS, RATE = 1_200_000, 2000
 CHANNELS = "count,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z,mag_x,mag_y,mag_z,temp"
-QUERY = f"?rate={RATE}&temp_scale=0.1&channels={CHANNELS}"
+QUERY = f"?format=frame&pack=<I10h&checksum=crc16&rate={RATE}&temp_scale=0.1&channels={CHANNELS}"
 
 
 def run() -> list[Figure]:
@@ -23,7 +24,7 @@ def run() -> list[Figure]:
     list of Figure
         Seconds, processor time per second of readings, and what was lost.
     """
-    data = _lines()
+    data = _frames()
     with socket.create_server(("127.0.0.1", 0)) as listener:
         sender = threading.Thread(target=_send, args=(listener, data))
         sender.start()
@@ -41,9 +42,13 @@ def run() -> list[Figure]:
     ]
 
 
-def _lines() -> bytes:
-    values = np.random.default_rng(0).integers(-250, 250, (ROWS, 10)).tolist()
-    return "".join(f"{count},{','.join(map(str, row))}\n" for count, row in enumerate(values)).encode()
+def _frames() -> bytes:
+    body = np.zeros(ROWS, dtype=[("sync", "V2"), ("count", "<u4"), ("values", "<i2", 10), ("crc", "<u2")])
+    body["sync"], body["count"] = np.void(b"\xaa\x55"), np.arange(ROWS)
+    body["values"] = np.random.default_rng(0).integers(-250, 250, (ROWS, 10))
+    raw = body.view("u1").reshape(ROWS, -1)
+    body["crc"] = [binascii.crc_hqx(row, 0xFFFF) for row in raw[:, 2:26]]
+    return body.tobytes()
 
 
 def _send(listener: socket.socket, data: bytes) -> None:

@@ -55,11 +55,11 @@ def calibrate_on_rig(name: str, device: DeviceModel, folder: Path) -> Calibratio
     programme = programme_of(
         protocol, ProgrammeSettings(mount_s=0.5, heating_c_per_min=AIR.ramp_c_per_min, settle_s=SETTLE_S)
     )
-    bench = SimulatedBench(device, SimulatedSettings(air=AIR, chamber=ChamberSetup(soak=SOAK)))
+    bench = SimulatedBench((device,), SimulatedSettings(air=AIR, chamber=ChamberSetup(soak=SOAK)))
     with RunFolder(folder, protocol) as opened:
         chamber = bench.chamber if protocol.temperatures_c else None
         connected = RigBench(
-            rig=bench.table, readings=bench.readings, mounting=bench, chamber=chamber, clock=bench.clock
+            rig=bench.table, readings=bench.readings[0], mounting=bench, chamber=chamber, clock=bench.clock
         )
         run_programme(
             programme,

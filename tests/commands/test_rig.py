@@ -88,7 +88,7 @@ def test_check_accepts_a_table_by_its_limit(capsys):
         (["check", "--rig", NOBODY, "--seconds", "0"], "`duration_s` must be above 0", 2),
         (["check", "--rig", NOBODY], "127.0.0.1:9", 3),
         (
-            ["run", "p.toml", *SIMULATED[:3], "tcp://h:1", "-o", "x"],
+            ["run", "p.toml", *SIMULATED, "--device", "tcp://h:1", "-o", "x"],
             "either all simulated or all real",
             2,
         ),

@@ -1,16 +1,34 @@
 """Decoders: what is whole and sound becomes rows, whatever the pieces it comes in; the rest is counted."""
 
+import struct
+
 import numpy as np
 import pytest
 
 from undrift.errors import InputError
-from undrift.live.decoder import LineDecoder, StreamDescription, decoder_for
+from undrift.live.decoder import CHECKSUMS, FrameDecoder, LineDecoder, StreamDescription, decoder_for
 
 CHANNELS = ("count", "gyro_x", "gyro_y", "gyro_z")
 
 
 def lines(**options: object) -> LineDecoder:
     return LineDecoder(StreamDescription(channels=CHANNELS, rate=100.0, **options))
+
+
+def frames(**options: object) -> FrameDecoder:
+    given = {"channels": CHANNELS, "rate": 100.0, "format": "frame", "pack": "<H3h", "checksum": "crc16"} | options
+    return FrameDecoder(StreamDescription(**given))
+
+
+def frame(count: int, checksum: str = "crc16", order: str = "little") -> bytes:
+    body = struct.pack(("<" if order == "little" else ">") + "H3h", count, 1, -2, 3 * count)
+    made = CHECKSUMS[checksum]
+    return b"\xaa\x55" + body + made.of(body).to_bytes(made.size, order)
+
+
+@pytest.mark.parametrize(("name", "wanted"), [("none", 0), ("xor", 0x31), ("crc16", 0x29B1)])
+def test_checksums_of_the_nine_digits_are_the_published_ones(name, wanted):
+    assert CHECKSUMS[name].of(b"123456789") == wanted
 
 
 def test_lines_come_whole_out_of_pieces_of_any_size():
@@ -51,7 +69,7 @@ def test_nan_in_a_line_is_a_gap_and_stays():
 
 def test_a_line_with_a_wrong_checksum_is_left_out():
     text = b"1,2,3,4"
-    good = b"$%s*%02X\n" % (text, 0x28)  # 0x31 ^ 0x2C ^ 0x32 ^ 0x2C ^ 0x33 ^ 0x2C ^ 0x34
+    good = b"$%s*%02X\n" % (text, CHECKSUMS["xor"].of(text))
     decoder = lines(checksum="xor")
     rows = decoder.feed(good + good.replace(b"2", b"6") + b"1,2,3,4*ZZ\n1,2,3,4\n" + good.lower())
     assert rows.tolist() == [[1, 2, 3, 4]] * 2
@@ -62,11 +80,74 @@ def test_a_datagram_ends_its_line():
     assert lines().feed(b"1,2,3,4", whole=True).tolist() == [[1, 2, 3, 4]]
 
 
+@pytest.mark.parametrize(
+    ("checksum", "order"), [("crc16", "little"), ("crc16", "big"), ("xor", "big"), ("none", "little")]
+)
+def test_frames_come_whole_out_of_pieces_of_any_size(checksum, order):
+    data = b"".join(frame(k, checksum, order) for k in range(50))
+    for size in (1, 5, 1000):
+        decoder = frames(checksum=checksum, pack="<H3h" if order == "little" else ">H3h")
+        rows = np.vstack([decoder.feed(data[a : a + size]) for a in range(0, len(data), size)])
+        assert np.array_equal(rows, [[k, 1, -2, 3 * k] for k in range(50)])
+        assert decoder.errors == 0
+
+
+def test_after_a_spoilt_frame_the_next_one_is_found():
+    spoilt = bytearray(frame(2))
+    spoilt[5] ^= 1
+    decoder = frames()
+    rows = decoder.feed(
+        frame(1) + bytes(spoilt) + frame(3) + b"rubbish" + frame(4) + frame(5)[:6] + frame(6) + frame(7)
+    )
+    assert rows[:, 0].tolist() == [1, 3, 4, 6, 7]
+    assert decoder.errors == 3
+
+
+def test_what_stands_before_the_first_sync_bytes_is_no_error():
+    decoder = frames()
+    assert decoder.feed(frame(1)[4:] + frame(2)).tolist() == [[2, 1, -2, 6]]
+    assert decoder.errors == 0
+
+
+def test_sync_bytes_within_a_frame_do_not_mislead():
+    body = struct.pack("<H3h", 1, 0x55AA, 0x55AA, 0x55AA)
+    data = b"\xaa\x55" + body + CHECKSUMS["crc16"].of(body).to_bytes(2, "little")
+    decoder = frames()
+    assert decoder.feed(data[3:] + data * 3).shape == (3, 4)
+
+
+def test_a_cut_datagram_is_an_error_and_not_the_start_of_the_next():
+    decoder = frames()
+    assert not len(decoder.feed(frame(1)[:7], whole=True))
+    assert len(decoder.feed(frame(2), whole=True)) == 1
+    assert decoder.errors == 1
+
+
 def test_random_bytes_never_raise():
     rng = np.random.default_rng(5)
-    for decoder in (lines(), lines(checksum="xor")):
+    for decoder in (frames(), lines(), lines(checksum="crc16")):
         for _ in range(300):
             decoder.feed(rng.integers(0, 256, rng.integers(0, 200), dtype=np.uint8).tobytes())
+
+
+def test_floats_and_wide_integers_are_read():
+    decoder = frames(pack=">Ifdq", checksum="none")
+    body = struct.pack(">Ifdq", 7, 0.5, -0.1, -(2**40))
+    assert decoder.feed(b"\xaa\x55" + body).tolist() == [[7, 0.5, -0.1, -(2.0**40)]]
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"sync": "xy"}, r"hex bytes, got 'xy'"),
+        ({"sync": ""}, r"require sync bytes"),
+        ({"pack": "H3h"}, r"pack .*got 'H3h'"),
+        ({"pack": "<H2h"}, r"each of 4 channels, got 3 in '<H2h'"),
+    ],
+)
+def test_frames_that_cannot_be_are_refused(options, text):
+    with pytest.raises(InputError, match=text):
+        frames(**options)
 
 
 def test_a_line_needs_a_separator():

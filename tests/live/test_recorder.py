@@ -1,5 +1,6 @@
 """Recorder: nothing is lost; a dwell is what came between two moments; every failure is told."""
 
+import binascii
 import time
 
 import numpy as np
@@ -35,10 +36,13 @@ def test_minutes_at_two_kilohertz_and_ten_channels_come_without_a_loss(minutes):
     block = rng.integers(-250, 250, (12_000, 10))
     rows = 120_000 * minutes
     values = np.tile(block, (10 * minutes, 1))
-    texts = [",".join(map(str, row)) for row in block.tolist()]
-    data = "".join(f"{count},{texts[count % len(texts)]}\n" for count in range(rows)).encode()
+    body = np.zeros(rows, dtype=[("sync", "V2"), ("count", "<u4"), ("values", "<i2", 10), ("crc", "<u2")])
+    body["sync"], body["count"], body["values"] = np.void(b"\xaa\x55"), np.arange(rows), values
+    raw = body.view("u1").reshape(rows, -1)
+    body["crc"] = [binascii.crc_hqx(row, 0xFFFF) for row in raw[:, 2:26]]
+    data = body.tobytes()
     pieces = [data[a : a + 262_144] for a in range(0, len(data), 262_144)]
-    query = f"?rate=2000&temp_scale=0.1&channels={TEN}"
+    query = f"?format=frame&pack=<I10h&checksum=crc16&rate=2000&temp_scale=0.1&channels={TEN}"
     with Sender(pieces) as device:
         start = time.monotonic()
         with Recorder(source_at(f"tcp://127.0.0.1:{device.port}{query}")) as recorder:
@@ -163,13 +167,20 @@ def test_waits_without_end_are_refused():
         RecorderSettings(silence_s=0)
 
 
-def test_readings_since_a_time_are_complete():
-    recorder, clock = on_virtual_clock(paced(300, 0.005))
-    with recorder:
-        assert clock.until(lambda: recorder.timeline.readings == 300, 60.0), "all readings"
-        record = recorder.since(0.495)
-    assert record.gyro[:, 0].tolist() == list(range(50, 300))
-    assert recorder.since(2.985) is None, "one reading is no record"
+def test_readings_gather_where_that_is_asked_and_none_is_lost():
+    blocks = {}
+    for gather_s in (0.0, 0.05):
+        settings = RecorderSettings(silence_s=1.0, gather_s=gather_s)
+        recorder, clock = on_virtual_clock(paced(300, 0.005), settings)
+        with recorder:
+            assert clock.until(lambda recorder=recorder: recorder.timeline.readings == 300, 60.0), "all readings"
+            record = recorder.since(0.495)
+            blocks[gather_s] = len(recorder._ring)
+        assert record.gyro[:, 0].tolist() == list(range(50, 300))
+        assert recorder.since(2.985) is None, "one reading is no record"
+    assert blocks[0.05] < 0.6 * blocks[0.0]
+    with pytest.raises(InputError, match=r"gather_s .*0 to 0.2 s, got 1.0"):
+        RecorderSettings(gather_s=1.0)
 
 
 def test_what_came_before_a_link_was_lost_is_returned_before_the_loss_is_raised():

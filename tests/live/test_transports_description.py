@@ -43,7 +43,7 @@ def test_readings_become_a_record_in_the_units_stated():
         ({"rate": 1.0, "channels": (*SIX, "temp", "temp")}, r"got 'temp'"),
         ({"rate": 1.0, "gyro_unit": "m"}, r"unit of rate: expected one of"),
         ({"rate": 1.0, "format": "xml"}, r"format .*got 'xml'"),
-        ({"rate": 1.0, "checksum": "md5"}, r"none or xor, got 'md5'"),
+        ({"rate": 1.0, "checksum": "md5"}, r"none, xor, crc16, got 'md5'"),
         ({"rate": 1.0, "counter_bits": 64}, r"counter_bits .*0 to 53 .*got 64 and 0"),
     ],
 )

@@ -10,12 +10,12 @@ from undrift.errors import LinkError
 from undrift.live.transports import lsl_streams, serial_ports
 
 
-def test_ports_of_usb_stand_first(monkeypatch: pytest.MonkeyPatch):
+def test_ports_of_boards_stand_first_then_those_of_usb(monkeypatch: pytest.MonkeyPatch):
     modem = SimpleNamespace(device="/dev/ttyACM0", description="modem", vid=0x12D1)
     built_in = SimpleNamespace(device="/dev/ttyS0", description="n/a", vid=None)
     boards = [SimpleNamespace(device=f"/dev/ttyUSB{k}", description=f"board {k}", vid=0x2341) for k in (1, 0)]
     monkeypatch.setattr(list_ports, "comports", lambda: [built_in, modem, *boards])
-    usb = [("/dev/ttyACM0", "modem"), ("/dev/ttyUSB0", "board 0"), ("/dev/ttyUSB1", "board 1")]
+    usb = [("/dev/ttyUSB0", "board 0"), ("/dev/ttyUSB1", "board 1"), ("/dev/ttyACM0", "modem")]
     assert serial_ports() == [*usb, ("/dev/ttyS0", "built in")]
 
 

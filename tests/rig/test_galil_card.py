@@ -8,7 +8,12 @@ from testkit.waiting import eventually
 from undrift.errors import LinkError, RigFault, RigTimeout
 from undrift.rig.galil import GalilCard, reply_end, wrong_switches
 from undrift.rig.link import LinkSettings
+from undrift.rig.rig import codes, in_words
 
+ERRORS, STOPS = (
+    {int(code): words for code, words in codes(kind).items() if code != "other"}
+    for kind in ("galil_error", "galil_stop")
+)
 PATIENT, IMPATIENT = LinkSettings(reply_timeout_s=20.0), LinkSettings(reply_timeout_s=0.5)
 
 
@@ -49,7 +54,7 @@ def test_the_dialogue_of_the_manual_is_understood():
     answer, wrong = transcript(MANUAL)
     with Talk(answer) as talk:
         card = talk.card
-        with pytest.raises(RigFault, match=r"'bg' .error 1 Unrecognized command") as refused:
+        with pytest.raises(RigFault, match=r"'bg' .error 1:") as refused:
             card.do("bg")
         assert refused.value.code == 1
         assert card.set("PR", 1000) == 1000
@@ -69,6 +74,26 @@ def test_other_axes_are_reached_by_commas_and_letters():
     with Talk(answer, axis="C") as talk:
         assert talk.card.set("JG", 500) == 500
     assert wrong == []
+
+
+@pytest.mark.parametrize("code", sorted(ERRORS))
+def test_every_error_code_is_said_in_words(code):
+    answer, wrong = transcript([("BGX", b"?"), ("TC1", f"{code} Whatever the card says\r\n:".encode())])
+    with Talk(answer) as talk, pytest.raises(RigFault) as refused:
+        talk.card.do("BGX")
+    assert f"error {code}: {ERRORS[code]}" in str(refused.value)
+    assert wrong == []
+
+
+@pytest.mark.parametrize("code", [1, 2, 3, 4, 5, 6, 7, 8, 9, 13, 20, 21, 22, 50, 51, 83, 131, 143])
+def test_the_codes_a_rig_meets_have_words(code):
+    assert code in ERRORS
+
+
+def test_codes_without_words_say_where_to_look():
+    assert "not listed here; see" in in_words("galil_error", 999)
+    assert "not listed here; see" in in_words("galil_stop", 999)
+    assert set(STOPS) >= {0, 1, 2, 3, 4, 6, 7, 8, 9, 10, 50, 99, 100, 101}
 
 
 def test_the_switches_read_a_limit_that_is_not_pressed_as_one():

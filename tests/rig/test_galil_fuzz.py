@@ -24,6 +24,7 @@ from undrift.units import RADIAN_PER_DEGREE
 
 LETTERS = b"?:0123456789 .-\r\nTPXBG\x00\x07\xff\xc2"
 REPLY_S = 0.03
+BOTH = "MG _TPX{F10.0},TIME{F10.0}"  # a position and when it was; older cards refuse it
 AT_OPENING = 0.3  # share of openings that are spoilt as well
 CALLS = {
     "identify": lambda rig: rig.identify(),
@@ -51,12 +52,15 @@ HARMLESS = re.compile(
 class Mover(Card):
     """Remembers what it held each time that it began."""
 
-    def __init__(self):
+    def __init__(self, tells_time, clock):
         super().__init__(polls=3)
+        self.clock = clock
         self.held |= {"TM": "1000", "KP": "6", "KI": "0", "KD": "64"}
-        self.last, self.begun = "", []
+        self.last, self.begun, self.tells_time = "", [], tells_time
 
     def answer(self, command):
+        if command == BOTH and self.tells_time:
+            return f"{int(self.held['TP']): 011d} {int(1e3 * self.clock.now()) % 10**9: 011d}\r\n:".encode()
         try:
             said = super().answer(command)
         except (KeyError, ValueError):  # a word that lost a letter
@@ -78,7 +82,7 @@ class PoorLine:
 
     def __init__(self, seed, share):
         self.clock = VirtualClock()
-        self.card, self.share = Mover(), share
+        self.card, self.share = Mover(seed % 2 == 0, self.clock), share
         self.chance = random.Random(seed)
         self.armed, self.heard, self.spoilt = True, 0, Counter()
         self.server = VirtualScripted(self, self.clock)

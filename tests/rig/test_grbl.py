@@ -1,7 +1,8 @@
-"""The GRBL rig against a scripted board: dialogues of the 1.1 interface, errors and alarms, and bad answers."""
+"""The GRBL rig against a scripted board: dialogues of the 1.1 interface, every error and alarm, and bad answers."""
 
 import contextlib
 import math
+import re
 from dataclasses import replace
 
 import pytest
@@ -11,10 +12,14 @@ from testkit.rig_bench import mean_turn_rate
 from testkit.scripted_server import VirtualScripted
 from testkit.virtual_clock import VirtualClock
 from undrift.errors import InputError, LimitError, LinkError, RigFault, RigTimeout
-from undrift.rig.grbl import ALARMS, GrblBoard, GrblRig, open_from, parse_status
+from undrift.rig.grbl import GrblBoard, GrblRig, open_from, parse_status
 from undrift.rig.link import LinkSettings
-from undrift.rig.rig import Limits, RigSettings
+from undrift.rig.rig import Limits, RigSettings, codes, in_words, turn_by
 
+ERRORS, ALARMS = (
+    {int(code): words for code, words in codes(kind).items() if code != "other"}
+    for kind in ("grbl_error", "grbl_alarm")
+)
 DEGREE = math.pi / 180.0
 SAFE = "The table was stopped and its motor put to sleep."
 LOST = "NOT CONFIRMED"
@@ -59,6 +64,13 @@ def test_opening_resets_reads_the_settings_and_moves_nothing():
         assert board.jogs == []
 
 
+def test_a_move_is_a_whole_number_of_steps(bench):
+    achieved = turn_by(bench.rig, 90.0 * DEGREE, 1000.0 * DEGREE, bench.clock) / DEGREE
+    assert achieved == pytest.approx(800 / 8.889, abs=1e-3)
+    assert bench.board.jogs == [(pytest.approx(800 / 8.889, abs=1e-5), 5400.0)]
+    assert bench.rig.position().angle / DEGREE == pytest.approx(achieved, abs=1e-3)
+
+
 def test_turn_for_is_one_jog_of_whole_steps_that_stop_cancels(bench):
     assert bench.rig.turn_for(-45.0 * DEGREE, 4.0) / DEGREE == pytest.approx(-45.0)
     bench.clock.wait(3.0)
@@ -86,8 +98,7 @@ def test_an_axis_of_several_has_its_own_settings_and_place():
     with Bench(board) as bench:
         board.spoilt["?"] = [b"<Idle|MPos:1.000,2.000,3.000,0.500|FS:0,0>\r\n"]
         assert bench.rig.position().angle / DEGREE == pytest.approx(0.5)
-        bench.rig.turn_for(45.0 * DEGREE, 2.0)
-        assert board.jogs == [(pytest.approx(45.0 * (2.0 - 0.045), abs=0.1), 2700.0)]
+        assert turn_by(bench.rig, 90.0 * DEGREE, 1000.0 * DEGREE, bench.clock) / DEGREE == pytest.approx(90.0, abs=0.1)
 
 
 def test_the_motor_sleeps_and_wakes_and_our_own_alarm_is_cleared(bench):
@@ -118,11 +129,18 @@ def test_every_alarm_is_said_in_words(bench, code):
     assert bench.rig.fault() == f"an alarm: {ALARMS[code]} (alarm {code})"
 
 
-def test_an_error_is_named_by_its_number(bench):
-    bench.board.spoilt["$I"] = [b"error:9\r\n"]
-    with pytest.raises(RigFault, match="error 9") as refused:
+@pytest.mark.parametrize("code", sorted(ERRORS))
+def test_every_error_code_is_said_in_words(bench, code):
+    bench.board.spoilt["$I"] = [f"error:{code}\r\n".encode()]
+    with pytest.raises(RigFault, match=re.escape(f"error {code}: {ERRORS[code]}")) as refused:
         bench.rig.identify()
-    assert refused.value.code == 9
+    assert refused.value.code == code
+
+
+def test_the_codes_a_jog_meets_have_words_and_others_say_where_to_look():
+    assert set(ERRORS) >= {1, 2, 3, 4, 5, 6, 7, 8, 9, 15, 16}
+    assert "not listed here; see" in in_words("grbl_error", 99)
+    assert "not listed here; see" in in_words("grbl_alarm", 99)
 
 
 def test_an_open_door_is_a_fault(bench):
@@ -134,7 +152,7 @@ def test_an_open_door_is_a_fault(bench):
 
 def test_a_jog_that_is_refused_is_a_fault(bench):
     bench.board.spoilt["$J="] = [b"error:15\r\n"]
-    with pytest.raises(RigFault, match="error 15"):
+    with pytest.raises(RigFault, match="error 15: the jog would leave the machine's travel"):
         bench.rig.turn_for(1.0, 2.0)
     bench.rig.stop()
 

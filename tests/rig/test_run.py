@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from testkit.cards import TurningBoard, TurningCard
-from testkit.rig_bench import GAIN, SHORT, Device, Oven, at_rest, driven, gain_of, run, simulated
+from testkit.rig_bench import GAIN, OFFSET, SHORT, Device, Oven, at_rest, driven, gain_of, run, simulated
 from undrift.errors import InputError, RigFault, RigTimeout
 from undrift.io.session import read_session
 from undrift.programme import Protocol
@@ -166,15 +166,26 @@ HEATED = Protocol(faces=("+z",), face_s=3.0, temperatures_c=(40.0,))
 
 
 class Warm(Device):
-    """A device with a thermometer: 30 degC at first, 40 when it has followed the chamber with 60 s."""
+    """A device with a thermometer: 30 degC at first, 40 when it has followed the chamber with 60 s; in a dwell as told."""
 
-    def __init__(self, bench):
+    def __init__(self, bench, in_dwell=lambda t: 0.0 * t):
         super().__init__(bench)
-        self.born = bench.now()
+        self.born, self.in_dwell, self.phase = bench.now(), in_dwell, ""
 
     def stop(self):
         record = super().stop()
-        return replace(record, temp_c=40.0 - 10.0 * np.exp(-(record.time - self.born) / 60.0))
+        follows = 40.0 - 10.0 * np.exp(-(record.time - self.born) / 60.0)
+        away = self.in_dwell(record.time - record.time[0]) if self.phase == "resting" else 0.0
+        return replace(record, temp_c=follows + away)
+
+
+def heated(bench, path, device):
+    """Run with a device that knows the phase of the run."""
+
+    def report(progress):
+        device.phase = progress.phase
+
+    return run(bench, path, HEATED, chamber=Oven(), report=report, readings=lambda bench: device)[0]
 
 
 def test_a_soak_waits_until_the_devices_own_thermometer_stands_still_and_its_mean_is_written(tmp_path):
@@ -220,6 +231,14 @@ def test_a_door_that_opens_while_the_table_dwells_ends_the_run_at_rest(tmp_path)
     assert len(read_session(tmp_path).stills) == 1
 
 
+@pytest.mark.parametrize("away", [lambda t: -0.5 * t, lambda t: np.where(t > 1.5, 3.0, 0.0)], ids=["slope", "jump"])
+def test_a_thermometer_that_drifts_or_jumps_in_a_dwell_ends_the_run(tmp_path, away):
+    bench = simulated()
+    with pytest.raises(RigFault, match=r"steady within 0.5 K in step 2"):
+        heated(bench, tmp_path, Warm(bench, away))
+    assert at_rest(bench)
+
+
 def test_gaps_are_no_readings_and_a_few_are_counted(tmp_path):
     def device(lost):
         class Gappy(Device):
@@ -242,3 +261,15 @@ def test_hands_that_are_there_mount():
     asked = []
     AskedOperator(lambda line: asked.append(line) or "").mount("-y")
     assert "Mount the device with -y up" in asked[0]
+
+
+def test_a_table_turns_by_a_known_angle_that_the_encoder_measures(tmp_path):
+    protocol = Protocol(faces=(), turn_axes=("z",), turn_angle=360.0 * DPS)
+    bench = simulated()
+    result, _ = run(bench, tmp_path, protocol)
+    assert at_rest(bench)
+    (turn,) = (piece for piece in result.pieces if piece.purpose == "turn")
+    assert turn.angle / DPS == pytest.approx(360.0, abs=0.05)
+    record = read_session(tmp_path).records[result.pieces.index(turn)]
+    turned_deg = (record.gyro[:, 2] - OFFSET[2]).sum() / GAIN[2, 2] / record.sample_rate_hz
+    assert turned_deg == pytest.approx(360.0, abs=1.0)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from testkit.rig_bench import SHORT, FaultyBench
+from testkit.rig_bench import SHORT
 from undrift.base.clock import PacedClock
 from undrift.calibration.calibrate import calibrate
 from undrift.errors import LinkError, RigError, RigFault, RigTimeout
@@ -14,11 +14,12 @@ from undrift.io.session import read_session
 from undrift.programme import programme_of
 from undrift.record import FACES
 from undrift.rig.folder import RunFolder
-from undrift.rig.rig import open_rig
+from undrift.rig.rig import open_rig, turn_by
 from undrift.rig.run import RigBench, run_programme
 from undrift.rig.simulated import AirSettings, SimulatedBench, SimulatedSettings
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration
+from undrift.units import RADIAN_PER_DEGREE as DPS
 from undrift.units import STANDARD_GRAVITY
 
 DEVICE = random_device(np.random.default_rng(3), grade="consumer")
@@ -29,7 +30,7 @@ def run_on(bench, path, protocol=SHORT, *, resume=False, report=lambda progress:
     with RunFolder(path, protocol, resume=resume) as folder:
         chamber = bench.chamber if protocol.temperatures_c else None
         connected = RigBench(
-            rig=bench.table, readings=bench.readings, mounting=bench, chamber=chamber, clock=bench.clock
+            rig=bench.table, readings=bench.readings[0], mounting=bench, chamber=chamber, clock=bench.clock
         )
         return run_programme(programme_of(protocol), connected, folder, report=report, serial="made", **more)
 
@@ -40,7 +41,7 @@ def at_rest(bench):
 
 
 def test_a_run_is_a_session_that_calibrates_to_the_truth(tmp_path):
-    bench = SimulatedBench(DEVICE)
+    bench = SimulatedBench((DEVICE,))
     result = run_on(bench, tmp_path / "run", WHOLE, gravity_m_s2=STANDARD_GRAVITY)
     assert at_rest(bench)
     for piece in result.pieces:
@@ -55,7 +56,7 @@ def test_a_run_is_a_session_that_calibrates_to_the_truth(tmp_path):
 def test_the_same_seed_makes_the_same_run_and_another_seed_another(tmp_path):
     read = []
     for name, seed in (("one", 1), ("same", 1), ("other", 2)):
-        run_on(SimulatedBench(DEVICE, SimulatedSettings(seed=seed)), tmp_path / name)
+        run_on(SimulatedBench((DEVICE,), SimulatedSettings(seed=seed)), tmp_path / name)
         read.append([record.gyro for record in read_session(tmp_path / name).records])
     assert all(np.array_equal(a, b) for a, b in zip(read[0], read[1], strict=True))
     assert not np.array_equal(read[0][0], read[2][0])
@@ -63,7 +64,7 @@ def test_the_same_seed_makes_the_same_run_and_another_seed_another(tmp_path):
 
 def test_a_chamber_soaks_and_the_board_follows(tmp_path):
     air = AirSettings(ramp_c_per_min=60.0, period_s=20.0, board_lag_s=10.0)
-    bench = SimulatedBench(DEVICE, SimulatedSettings(air=air))
+    bench = SimulatedBench((DEVICE,), SimulatedSettings(air=air))
     run_on(bench, tmp_path / "run", replace(SHORT, temperatures_c=(30.0, 40.0)))
     temps = {round(turn.temp_c) for turn in read_session(tmp_path / "run").turns}
     assert len(temps) == 2
@@ -83,7 +84,7 @@ def test_a_chamber_soaks_and_the_board_follows(tmp_path):
 )
 @pytest.mark.parametrize("phase", ["ramping", "dwelling"])
 def test_a_fault_ends_at_rest_and_a_resume_completes(tmp_path, fault, error, message, phase):
-    bench = FaultyBench(DEVICE)
+    bench = SimulatedBench((DEVICE,))
 
     def strike(progress):
         if progress.phase == phase and progress.number == 4:
@@ -100,7 +101,7 @@ def test_a_fault_ends_at_rest_and_a_resume_completes(tmp_path, fault, error, mes
 
 
 def test_a_wrong_face_is_seen_and_mounted_again(tmp_path, caplog):
-    bench = FaultyBench(DEVICE)
+    bench = SimulatedBench((DEVICE,))
 
     struck = []
 
@@ -118,10 +119,13 @@ def test_a_wrong_face_is_seen_and_mounted_again(tmp_path, caplog):
             assert way * record.accel[still.start : still.stop, axis].mean() > 0.0
 
 
-def test_a_table_turns_and_keeps_its_limits():
+def test_a_table_turns_back_by_a_known_angle_and_keeps_its_limits():
     table = open_rig("simulated:?clock_speed=1e6")
     table.enable(True)
-    table.set_acceleration(40.0)
+    start = table.position().angle
+    acceleration = table.set_acceleration(40.0)
+    assert turn_by(table, 90.0 * DPS, acceleration, table._bench.clock) == pytest.approx(90.0 * DPS, abs=1e-3)
+    assert table.position().angle - start == pytest.approx(90.0 * DPS, abs=1e-3)
     assert table.turn_for(1.0, 2.0) == pytest.approx(1.0, rel=1e-3)
     table.stop()
     assert table.fault() is None

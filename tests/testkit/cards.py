@@ -95,6 +95,9 @@ class Card:
         return b":"
 
 
+BOTH = "MG _TPX{F10.0},TIME{F10.0}"  # a position and when it was, in one answer
+
+
 class TurningCard(Card):
     """A card that turns the table of a simulated bench. Each move takes its time and ends by itself.
 
@@ -127,6 +130,8 @@ class TurningCard(Card):
             self.why = 2 if self.fault == "limit_switch" else 6
         if self.on and not servo.powered:  # the amplifier failed: the following error passed its limit
             self.on, self.why = False, 8
+        if command == BOTH:
+            return f"{servo.count: 011d} {int(1e3 * servo.time): 011d}\r\n:".encode()
         switches = 0x0C - 0x08 * (self.fault == "limit_switch") + 0x20 * (not servo.powered)
         self.held |= {"TP": str(servo.count), "TE": str(round(servo.error)), "MO": str(int(not servo.powered))}
         self.held |= {"TS": str(switches), "SC": str(0 if servo.moving else self.why)}

@@ -7,15 +7,13 @@ from dataclasses import replace
 import numpy as np
 
 from testkit.virtual_clock import VirtualClock
-from undrift.errors import LinkError
 from undrift.programme import Protocol, programme_of
-from undrift.record import FACES
 from undrift.rig.chamber import SoakSettings
 from undrift.rig.folder import RunFolder
 from undrift.rig.judge import RunSettings
 from undrift.rig.rig import Limits, RigSettings, open_rig
 from undrift.rig.run import RigBench, run_programme
-from undrift.rig.simulated import SimulatedBench, SimulatedSettings, SimulatedTable
+from undrift.rig.simulated import SimulatedBench, SimulatedSettings
 from undrift.sim.device.effects import Offset, Scale, SensorChain, WhiteNoise
 from undrift.sim.device.model import DeviceModel
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -72,70 +70,11 @@ DEVICE = DeviceModel(
 )
 
 
-class FaultyBench(SimulatedBench):
-    """A bench with active faults.
-
-    - ``stall``: The amplifier fails. The controller switches the motor off, and the table coasts to rest.
-    - ``lost_readings``: Two of every three readings of the device are lost.
-    - ``wrong_face``: The operator mounts the opposite face, once.
-    - ``power_cut``: Nothing answers, and the table coasts to rest.
-    """
-
-    def __init__(self, device, settings=SimulatedSettings(), clock=None):
-        self.faults = set()
-        super().__init__(device, settings, clock)
-        self.table = FaultyTable(self, settings.limits)
-        self._read, self.device.read = self.device.read, self._faulty_read
-
-    def advance(self):
-        self.servo.powered &= not {"power_cut", "stall"} & self.faults
-        return super().advance()
-
-    def mount(self, up):
-        wrong = "wrong_face" in self.faults
-        self.faults.discard("wrong_face")
-        super().mount(FACES[FACES.index(up) ^ 1] if wrong else up)
-
-    def _faulty_read(self, now):
-        counts, rows = self._read(now)
-        if "lost_readings" in self.faults:
-            rows[counts % 3 > 0] = np.nan
-        if "power_cut" in self.faults:
-            rows[:] = np.nan
-        return counts, rows
-
-
-class FaultyTable(SimulatedTable):
-    """The table of a bench with faults."""
-
-    off = None
-
-    def fault(self):
-        super().fault()
-        return self.off
-
-    def turn_for(self, turn_rate, seconds):
-        rate = super().turn_for(turn_rate, seconds)
-        self.off = None
-        return rate
-
-    def close(self):
-        if "power_cut" not in self._bench.faults:
-            super().close()
-
-    def _answer(self, *, moving=False):
-        powered = self._bench.servo.powered
-        self._bench.advance()
-        if "power_cut" in self._bench.faults:
-            raise LinkError("rig: no answer. Check power and cable.")
-        if powered and not self._bench.servo.powered:
-            self.off = "its motor off: following error beyond its limit"
-        super()._answer(moving=moving)
-
-
-def simulated(clock=None, **settings):
-    """Return a simulated bench with this device. On a virtual clock, time passes only when the test waits."""
-    return FaultyBench(DEVICE, SimulatedSettings(**{"limits": LIMITS, **settings}), clock or VirtualClock())
+def simulated(clock=None, *, devices=1, **settings):
+    """Return a simulated bench with these devices. On a virtual clock, time passes only when the test waits."""
+    return SimulatedBench(
+        (DEVICE,) * devices, SimulatedSettings(**{"limits": LIMITS, **settings}), clock or VirtualClock()
+    )
 
 
 class Hands:
@@ -152,11 +91,14 @@ class Hands:
 class Device:
     """Readings of a device on the bench, for tests that modify them, without a thermometer."""
 
-    def __init__(self, bench):
-        self.bench, self.readings = bench, bench.readings
+    def __init__(self, bench, number=0):
+        self.bench, self.readings = bench, bench.readings[number]
 
     def start(self, *, certain=True):
         self.readings.start(certain=certain)
+
+    def end(self):
+        self.readings.end()
 
     def stop(self):
         return replace(self.readings.stop(), temp_c=None)

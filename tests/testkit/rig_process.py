@@ -32,7 +32,7 @@ class BenchOnHost:
         self.speed = speed
         self.bench = simulated(Clock.started(speed))
         self.card = TurningCard(self.bench)
-        self.bench.readings.start()
+        self.bench.readings[0].start()
         self.device = SendingDevice(self)
 
     def __enter__(self) -> "BenchOnHost":
@@ -74,7 +74,7 @@ class SendingDevice(TalkingDevice):
         super().__init__(RATE_HZ)
 
     def _talk(self) -> None:
-        readings = self.host.bench.readings
+        readings = self.host.bench.readings[0]
         while not self._end.wait(TOGETHER_S):
             with self.host.card.lock:
                 self.host.bench.advance()

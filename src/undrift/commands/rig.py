@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from undrift.programme import Forecast, Programme
     from undrift.rig.chamber import Readings
     from undrift.rig.check import CheckSettings, RigCheck
-    from undrift.rig.folder import RecordedDwell
+    from undrift.rig.folder import RecordedDwell, RunFolder
     from undrift.rig.rig import RigSettings
-    from undrift.rig.run import Progress, RigBench, RunResult
+    from undrift.rig.run import Mounted, Progress, RigBench, RunResult
     from undrift.rig.simulated import SimulatedBench
 
 TableAddress: TypeAlias = Annotated[str, Parameter(help="Address of the table.")]
@@ -61,6 +61,7 @@ class Ran(Result):
 
     output: Path  # Folder of the run
     result: "RunResult"
+    others: tuple[Path, ...] = ()  # Folders of the other devices on the table
 
     def summary(self) -> Summary:
         """Return the number of dwells, and the largest difference of achieved rates from nominal rates."""
@@ -75,6 +76,10 @@ class Ran(Result):
             for turn in turns
         ]
         data = {"folder": str(self.output), "rig": result.rig, "dwells": len(result.pieces), "added": result.added}
+        beside = tuple(zip(self.others, result.others, strict=True))
+        data |= (
+            {"others": [{"folder": str(path), "dwells": len(turn.pieces)} for path, turn in beside]} if beside else {}
+        )
         achieved = {turn.name: plus_minus(turn.turn_rate / dps, turn.turn_rate_uncertainty / dps) for turn in turns}
         cells: Cells[RecordedDwell] = (
             ("dwell", lambda piece: piece.name),
@@ -91,12 +96,15 @@ class Ran(Result):
             answer=(
                 f"{self.output}: {len(result.pieces)} dwells, {result.added} of them now, in "
                 f"{_clock(result.duration_s)}. Achieved rates differ from nominal ones by up to {off:.3g} deg/s and "
-                f"are stored in session.toml, {missing} readings missing"
+                f"are stored in session.toml, "
+                f"{missing} "
+                "readings missing"
+                + "".join(f", {path}: {len(beside_run.pieces)} dwells of another device" for path, beside_run in beside)
             ),
             data=data | {"duration_s": result.duration_s, "missing_readings": missing, "turns": rows},
             pictures=(figure_of("figures:draw_rig_run", turns),) if turns else (),
             sections=(table_section("Dwells", result.pieces, cells, on="page"),),
-            sources=(self.output / "session.toml",),
+            sources=tuple(path / "session.toml" for path in (self.output, *self.others)),
             next=("calibrate", self.output, "-o", "calibration.json"),
         )
 
@@ -107,7 +115,7 @@ def run(
     /,
     *,
     rig: str,
-    device: str,
+    device: tuple[str, ...],
     output: Output,
     chamber: str | None = None,
     serial: str = "",
@@ -131,10 +139,11 @@ def run(
         To simulate the whole bench, use simulated: or, faster, simulated:?clock_speed=100, also for `device` and
         `chamber`. A simulated `device` has the options seed, device (a preset or device.json) and tilt_deg of the
         mounting.
-    device : str
-        Address of the device: tcp://host:port?..., serial:///dev/ttyUSB0?baud=115200, udp://:port, lsl:name.
+    device : tuple of str
+        Address of the device: tcp://host:port?..., serial:///dev/ttyUSB0?baud=115200, udp://:port, lsl:name. Several
+        devices that are mounted alike on one table are read in the same dwells. Repeat the option for each.
     output : Path
-        Folder of the run.
+        Folder of the run. For several devices, it contains the folders device-1, device-2.
     chamber : str or None
         Address of the thermal chamber, if the protocol has temperatures: tcp://host:port or serial:///dev/ttyUSB0. With
         manual: a person sets the chamber, and the device's thermometer detects the end of the soak.
@@ -159,7 +168,7 @@ def run(
     from undrift.rig.judge import RunSettings
     from undrift.rig.lock import one_run, stopping_on_signals
     from undrift.rig.rig import check_programme, parse_address
-    from undrift.rig.run import RigBench, run_programme
+    from undrift.rig.run import run_programme
 
     protocol_content, settings = (
         read_protocol(protocol),
@@ -176,27 +185,23 @@ def run(
     programme = programme_of(protocol_content, ProgrammeSettings(encoder_lines=options.encoder_lines))
     if not resume:
         check_programme(programme, limits, by_hand=by_hand)  # before there is a folder
+    paths = _folders(output, device, serial)
     with ExitStack() as stack:
         stack.enter_context(one_run(rig, f"undrift rig run into {output}"))
-        folder = stack.enter_context(RunFolder(output, protocol_content, resume=resume))
-        check_programme(programme, limits, folder.done, by_hand=by_hand)
-        display.plan(programme, folder.done, yes)
+        folders = [stack.enter_context(RunFolder(path, protocol_content, resume=resume)) for path in paths.values()]
+        done = frozenset.intersection(*(folder.done for folder in folders))
+        check_programme(programme, limits, done, by_hand=by_hand)
+        display.plan(programme, done, yes)
         stack.enter_context(stopping_on_signals())
         if simulated is None:
-            readings, own_serial = _connect(stack, device, programme)
-            bench = _bench(stack, readings, (rig, chamber), settings, display, programme, resume=resume)
+            first, *others = (_connect(stack, *pair, programme) for pair in zip(paths, folders, strict=True))
+            bench = _bench(stack, first.readings, (rig, chamber), settings, display, programme, resume=resume)
         else:
-            own_serial = simulated.device.model.serial
-            bench = RigBench(
-                rig=simulated.table,
-                readings=simulated.readings,
-                mounting=simulated,
-                chamber=simulated.chamber if chamber is not None else None,
-                clock=simulated.clock,
-            )
-        how: dict[str, Any] = {"serial": serial or own_serial, "gravity_m_s2": gravity_m_s2, "settings": judge}
-        result = run_programme(programme, bench, folder, report=display, **how)
-    return Ran(output=output, result=result)
+            bench, (first, *others) = _parts_of_simulated_bench(simulated, folders, with_chamber=chamber is not None)
+        first.serial = serial or first.serial
+        how: dict[str, Any] = {"serial": first.serial, "gravity_m_s2": gravity_m_s2, "settings": judge}
+        result = run_programme(programme, bench, first.folder, report=display, others=others, **how)
+    return Ran(output=first.folder.path, result=result, others=tuple(paths.values())[1:])
 
 
 def forecast(protocol: Path, rig: str) -> "Forecast":
@@ -211,8 +216,19 @@ def forecast(protocol: Path, rig: str) -> "Forecast":
     return forecast_of(programme)
 
 
+def _folders(output: Path, device: str | tuple[str, ...], serial: str) -> dict[str, Path]:
+    """Return the folder of each device by its address. In Python, a single text is accepted."""
+    sources = (device,) if isinstance(device, str) else device
+    if len(sources) > 1 and (serial or len({*sources}) < len(sources)):
+        raise InputError(
+            "rig run: several devices need different addresses and no `serial`. Set each serial number in the "
+            "address of its device."
+        )
+    return {url: output / f"device-{k}" if len(sources) > 1 else output for k, url in enumerate(sources, start=1)}
+
+
 def _simulated_bench(
-    device: str, addresses: tuple[str, str | None], options: "RigSettings", gravity_m_s2: float | None
+    device: str | tuple[str, ...], addresses: tuple[str, str | None], options: "RigSettings", gravity_m_s2: float | None
 ) -> "SimulatedBench | None":
     """Create a simulated bench if the table is simulated. All parts of a bench must be simulated, or none."""
     import numpy as np
@@ -221,49 +237,68 @@ def _simulated_bench(
     from undrift.rig.simulated import SimulatedBench, SimulatedSettings
     from undrift.sim.device.presets import PRESETS, random_device
 
-    texts = [text for text in (*addresses, device) if text is not None]
+    devices = (device,) if isinstance(device, str) else device
+    texts = [text for text in (*addresses, *devices) if text is not None]
     simulated = [text.startswith("simulated:") for text in texts]
     if not any(simulated):
         return None
     if not all(simulated):
         raise InputError(
-            f"rig run: rig, chamber and device must be either all simulated or all real, got {', '.join(texts)}. "
+            f"rig run: rig, chamber and devices must be either all simulated or all real, got {', '.join(texts)}. "
             f"Use simulated: for each."
         )
-    told = dict(split_address(device, "device", {"simulated": ""}, "", "Name how it is connected")[2])
-    try:
-        seed, tilt_deg = int(told.pop("seed", "0")), float(told.pop("tilt_deg", "0"))
-    except ValueError as error:
-        raise InputError(
-            f"device: expected numbers for seed and tilt_deg, got '{device}'. Correct the address."
-        ) from error
-    name = told.pop("device", "")
-    if told:
-        raise InputError(
-            f"device: expected the options seed, device and tilt_deg only, got '{device}'. Correct the address."
-        )
-    rng = np.random.default_rng(seed)
-    model = device_at(name, rng, draw=name in PRESETS) if name else random_device(rng, grade="consumer")
-    settings = SimulatedSettings(
-        limits=options.limits,
-        gravity_m_s2=gravity_m_s2 or STANDARD_GRAVITY,
-        seed=seed,
-        mount_tilt_sd=tilt_deg * RADIAN_PER_DEGREE,
+    models, settings = [], SimulatedSettings(limits=options.limits, gravity_m_s2=gravity_m_s2 or STANDARD_GRAVITY)
+    for text in devices:
+        told = dict(split_address(text, "device", {"simulated": ""}, "", "Name how it is connected")[2])
+        try:
+            seed, tilt_deg = int(told.pop("seed", "0")), float(told.pop("tilt_deg", "0"))
+        except ValueError as error:
+            raise InputError(
+                f"device: expected numbers for seed and tilt_deg, got '{text}'. Correct the address."
+            ) from error
+        name = told.pop("device", "")
+        if told:
+            raise InputError(
+                f"device: expected the options seed, device and tilt_deg only, got '{text}'. Correct the address."
+            )
+        rng = np.random.default_rng(seed)
+        models.append(device_at(name, rng, draw=name in PRESETS) if name else random_device(rng, grade="consumer"))
+        settings = replace(settings, seed=seed, mount_tilt_sd=tilt_deg * RADIAN_PER_DEGREE)
+    return SimulatedBench(models, settings, options.timing)
+
+
+def _parts_of_simulated_bench(
+    bench_parts: "SimulatedBench", folders: "list[RunFolder]", *, with_chamber: bool
+) -> "tuple[RigBench, list[Mounted]]":
+    """Return the parts of a simulated bench for a run, and its devices with their folders."""
+    from undrift.rig.run import Mounted, RigBench
+
+    chamber = bench_parts.chamber if with_chamber else None
+    bench = RigBench(
+        rig=bench_parts.table,
+        readings=bench_parts.readings[0],
+        mounting=bench_parts,
+        chamber=chamber,
+        clock=bench_parts.clock,
     )
-    return SimulatedBench(model, settings, options.timing)
+    rows = zip(bench_parts.devices, bench_parts.readings, folders, strict=True)
+    return bench, [
+        Mounted(readings=readings, folder=folder, serial=model.model.serial) for model, readings, folder in rows
+    ]
 
 
-def _connect(stack: ExitStack, address: str, programme: "Programme") -> "tuple[Readings, str]":
-    """Connect a device, and return its readings and its serial number."""
+def _connect(stack: ExitStack, address: str, folder: "RunFolder", programme: "Programme") -> "Mounted":
+    """Connect a device."""
     from undrift.live.recorder import DwellReadings, Recorder, RecorderSettings
     from undrift.live.transports import source_at
+    from undrift.rig.run import Mounted
 
     source, longest_s = source_at(address), max(dwell.duration_s for dwell in programme.dwells)
     recorder = Recorder(source, RecorderSettings(keep_s=max(600.0, 2.0 * longest_s)))
     recorder.start()
     readings = DwellReadings(recorder)
     stack.callback(readings.close)
-    return readings, source.description.device
+    return Mounted(readings=readings, folder=folder, serial=source.description.device)
 
 
 def _bench(
@@ -361,7 +396,7 @@ class Accepted(Result):
         )
         wave = {"seconds": settings.duration_s, "turn_rate_dps": settings.turn_rate / dps}
         wave |= {"achieved_dps": result.turn_rate / dps, "acceleration_dps2": settings.acceleration / dps}
-        errors = {"rms": rms_deg, "max": max_deg, "limit_deg": limit_deg}
+        errors = {"rms": rms_deg, "max": max_deg, "limit_deg": limit_deg, "run_up_max": result.in_run_up / dps}
         return Summary(
             title="Acceptance of a table",
             answer=f"{result.identity}: step wave of {settings.turn_rate / dps:g} deg/s for {settings.duration_s:g} s",

@@ -4,11 +4,14 @@ A StreamDescription contains the channels in their order, their units and the fr
 ``tcp://host:port?channels=count,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z,temp&rate=100&gyro_unit=count``.
 """
 
+import binascii
+import re
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import reduce
 from operator import xor
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -18,10 +21,27 @@ from undrift.errors import InputError, check_positive
 from undrift.record import Record
 from undrift.units import canonical_unit
 
+# ---- Checksums after readings: ``xor`` as in NMEA 0183, and ``crc16`` (CRC-16/CCITT-FALSE, 0x1021 from 0xFFFF). For "123456789"
+# they are 0x31 and 0x29B1.
+
+
+class Checksum(NamedTuple):
+    """Function and size of a checksum."""
+
+    of: Callable[[bytes], int]  # function from bytes to number
+    size: int  # size of the number, bytes
+
+
+CHECKSUMS = {
+    "none": Checksum(lambda data: 0, 0),
+    "xor": Checksum(lambda data: reduce(xor, data, 0), 1),
+    "crc16": Checksum(lambda data: binascii.crc_hqx(data, 0xFFFF), 2),
+}
+
+
 # ---- StreamDescription: channels, units and framing of what a device sends.
 
-Framing = Literal["line", "log"]
-Checksum = Literal["none", "xor"]
+Framing = Literal["line", "frame", "log"]
 COUNTER, IGNORED = "count", "-"
 TRIADS = ("gyro", "accel", "mag")
 MEASURED = (*(f"{triad}_{axis}" for triad in TRIADS for axis in "xyz"), "temp")
@@ -44,9 +64,12 @@ class StreamDescription:
     temp_zero: float = 0.0  # temperature of the number 0, degC
     tick: float = 0.0  # device seconds per step of the counter (0 for a counter of readings)
     counter_bits: int = 0  # width of the counter (0 for a counter that never wraps)
-    format: Framing = "line"  # line (only numbers) or log (any text of io/log.py)
+    format: Framing = "line"  # line (only numbers), frame (binary) or log (any text of io/log.py)
     separator: str = ","  # separator of the numbers in a line, or in a log the words before a reading's first number
-    checksum: Checksum = "none"  # none, or xor of the bytes of a line as in NMEA 0183, after the line as ``*hex``
+    checksum: str = "none"  # none, xor or crc16, after a line as ``*hex`` and after a frame as bytes
+    sync: str = "aa55"  # first bytes of a frame, hex
+    # fields of a frame in the format of Python's struct, with one field per channel, < or > for the byte order
+    pack: str = ""
     clock_speed: float = 1.0  # device seconds per host second (1 for hardware)
     device: str = ""  # serial number or name
 
@@ -57,9 +80,10 @@ class StreamDescription:
         object.__setattr__(self, "gyro_unit", canonical_unit(self.gyro_unit, "rate"))
         object.__setattr__(self, "accel_unit", canonical_unit(self.accel_unit, "accel"))
         if self.format not in get_args(Framing):
-            raise InputError(f"stream: format must be line or log, got '{self.format}'. Set another format.")
-        if self.checksum not in get_args(Checksum):
-            raise InputError(f"stream: checksum must be none or xor, got '{self.checksum}'. Set another checksum.")
+            raise InputError(f"stream: format must be line, frame or log, got '{self.format}'. Set another format.")
+        if self.checksum not in CHECKSUMS:
+            names = ", ".join(CHECKSUMS)
+            raise InputError(f"stream: checksum must be one of {names}, got '{self.checksum}'. Set another checksum.")
         if not 0 <= self.counter_bits <= 53 or self.tick < 0.0:
             raise InputError(
                 f"stream: counter_bits must be 0 to 53 and tick 0 or more, got {self.counter_bits} and {self.tick:g}. "
@@ -239,9 +263,9 @@ class Decoder(ABC):
 
     def __init__(self, description: StreamDescription) -> None:
         self.errors = 0
-        self._width, self._has_checksum = len(description.channels), description.checksum == "xor"
+        self._width, self._checksum = len(description.channels), CHECKSUMS[description.checksum]
         self._rest = b""
-        self._begun = False  # False until the first line, which may be incomplete
+        self._begun = False  # False until the first line or frame, which may be incomplete
 
     def feed(self, data: bytes, *, whole: bool = False) -> FloatArray:
         """Add bytes and return the completed rows, (N, K). `whole` marks a datagram, after which no bytes are stored."""
@@ -288,9 +312,9 @@ class LineDecoder(Decoder):
         """Return the numbers of a line, or None if the line is corrupted."""
         line = line.removeprefix(b"$")
         try:
-            if self._has_checksum:
+            if self._checksum.size:
                 line, _, checksum_text = line.rpartition(b"*")
-                if len(checksum_text) != 2 or int(checksum_text, 16) != reduce(xor, line, 0):
+                if len(checksum_text) != 2 * self._checksum.size or int(checksum_text, 16) != self._checksum.of(line):
                     return None
             texts = line.split(self._separator)
             if len(texts) != self._width or b"_" in line:  # Python would parse 1_0 as 10
@@ -300,15 +324,73 @@ class LineDecoder(Decoder):
             return None
 
 
+class FrameDecoder(Decoder):
+    """Decoder of frames: sync bytes, fields of fixed width, checksum of the fields. A bad frame is skipped up to the next sync."""
+
+    def __init__(self, description: StreamDescription) -> None:
+        super().__init__(description)
+        try:
+            self._sync = bytes.fromhex(description.sync)
+        except ValueError as error:
+            raise InputError(
+                f"stream: sync must be hex bytes, got '{description.sync}'. Write for example aa55."
+            ) from error
+        if not self._sync:
+            raise InputError("stream: frames require sync bytes. Set `sync`.")
+        self._fields = frame_fields(description.pack, self._width)
+        self._order: Literal["little", "big"] = "little" if description.pack.startswith("<") else "big"
+        self._in_step = True  # False within a stretch of corrupted bytes, which counts as one error
+
+    def _rows(self, buffer: bytes, is_datagram: bool) -> FloatArray:
+        head, body, tail = len(self._sync), self._fields.itemsize, self._checksum.size
+        start, bodies = 0, []
+        while len(buffer) - start >= head + body + tail:
+            fields, end = buffer[start + head : start + head + body], start + head + body
+            is_frame = buffer.startswith(self._sync, start)
+            if is_frame and int.from_bytes(buffer[end : end + tail], self._order) == self._checksum.of(fields):
+                bodies.append(fields)
+                start, self._in_step, self._begun = end + tail, True, True
+                continue
+            if is_frame or (self._in_step and self._begun):
+                self.errors += 1
+            self._in_step = False
+            position = buffer.find(self._sync, start + 1)
+            start = position if position >= 0 else max(start + 1, len(buffer) - head + 1)
+        self._rest = b"" if is_datagram else buffer[start:]
+        if is_datagram and start < len(buffer):
+            self.errors += 1
+        table = np.frombuffer(b"".join(bodies), dtype=self._fields)
+        columns = [table[name].astype(float) for name in self._fields.names or ()]
+        return np.array(columns).T.reshape(len(table), self._width)
+
+
+def frame_fields(pack: str, channels: int) -> np.dtype[np.void]:
+    """Return the fields of a frame as a numpy dtype."""
+    if not re.fullmatch(r"[<>](\d{0,3}[bBhHiIqQfd])+", pack):
+        raise InputError(
+            f"stream: pack must be < or > and codes from bBhHiIqQfd, got '{pack}'. Write for example <H6h."
+        )
+    codes = "".join(code * int(count or 1) for count, code in re.findall(r"(\d*)([a-zA-Z])", pack))
+    if len(codes) != channels:
+        raise InputError(
+            f"stream: pack must have a field for each of {channels} channels, got {len(codes)} in '{pack}'. Correct it."
+        )
+    numpy_of = {"b": "i1", "B": "u1", "h": "i2", "H": "u2", "i": "i4", "I": "u4", "q": "i8", "Q": "u8"}
+    return np.dtype(
+        [(f"f{k}", pack[0] + numpy_of.get(code, f"f{4 if code == 'f' else 8}")) for k, code in enumerate(codes)]
+    )
+
+
 def finite(rows: FloatArray) -> FloatArray:
     """Return the rows without infinite values, (M, K), because no device sends infinity."""
     return np.asarray(rows[~np.isinf(rows).any(axis=1)])
 
 
+DECODERS = {"line": LineDecoder, "frame": FrameDecoder}
 LOG = "undrift.live.log:LogDecoder"  # loaded when required, because it imports io/log.py, which the simulator must not
 
 
 def decoder_for(description: StreamDescription) -> Decoder:
     """Return the decoder of a stream."""
-    decoder: Decoder = at(LOG)(description) if description.format == "log" else LineDecoder(description)
+    decoder: Decoder = (DECODERS.get(description.format) or at(LOG))(description)
     return decoder

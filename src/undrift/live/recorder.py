@@ -25,6 +25,7 @@ from undrift.record import Record
 
 log = logging.getLogger(__name__)
 READ_S, WAKE_S, STOP_S = 0.2, 0.2, 32.0
+WAITED_S = 5e-4  # duration from which a read has waited for data, host s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,9 +34,14 @@ class RecorderSettings:
 
     silence_s: float = 5.0  # longest time without a valid reading before the device counts as lost, host s
     keep_s: float = 600.0  # duration of the stored readings, device s
+    # Pause of the reader after a wait for a reading, host s. Readings collect in the pause, which reduces the load. They
+    # arrive later by the pause at most. Each wait still determines the time of arrival of a reading.
+    gather_s: float = 0.0
 
     def __post_init__(self) -> None:
         check_positive(self, "recorder", "Set a positive value", "silence_s", "keep_s")
+        if not 0.0 <= self.gather_s <= READ_S:
+            raise InputError(f"recorder: gather_s must be 0 to {READ_S:g} s, got {self.gather_s}. Set a shorter pause.")
 
 
 class Recorder:
@@ -167,6 +173,7 @@ class Recorder:
 
     def _read(self) -> float | None:
         """Read the device once. Return the pause until the next read, host s, or None after a failure."""
+        began = self.now()
         try:
             chunk = self.source.read(READ_S)
         except UndriftError as error:
@@ -180,7 +187,7 @@ class Recorder:
         self._heard = self.now()
         with self._news:
             self._keep(self.timeline.add(chunk))
-        return 0.0
+        return self.settings.gather_s if self._heard - began > WAITED_S else 0.0
 
     def _keep(self, block: Block) -> None:
         if not len(block.time):
@@ -234,20 +241,26 @@ class DwellReadings:
         self._deadline_s = deadline_s
         self._start: float | None = None
         self._first: float | None = None  # first certain reading, device time, s
+        self._end: float | None = None
 
     def start(self, *, certain: bool = True) -> None:
         """Start a dwell now. With `certain`, wait until a reading is certainly after the start."""
         self.recorder.check()
         start = self.recorder.now()
         self._first = self.recorder.begun(start, self._deadline_s) if certain else None
-        self._start = start
+        self._start, self._end = start, None
+
+    def end(self) -> None:
+        """End the dwell now, independent of the time of ``stop``."""
+        self._end = self.recorder.now()
 
     def stop(self) -> Record:
         """Return the readings since ``start``."""
         if self._start is None:
             raise InputError("dwell: no dwell was started. Start it first.")
         start, self._start = self._start, None
-        return self.recorder.between(start, self.recorder.now(), self._deadline_s, first=self._first)
+        stop = self.recorder.now() if self._end is None else self._end
+        return self.recorder.between(start, stop, self._deadline_s, first=self._first)
 
     def latest(self) -> str:
         """Return the latest reading as text."""

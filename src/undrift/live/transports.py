@@ -8,9 +8,12 @@ to a Source, and either a row in SOURCES or an entry point in "undrift.sources".
 """
 
 import importlib
+import os
 import socket
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Protocol
 from urllib.parse import urlsplit
 
@@ -30,6 +33,10 @@ BAUD = 115_200
 BUFFER_BYTES = 1 << 22  # size of the system's buffer for datagrams
 RESOLVE_S = 5.0
 SCAN_S = 3.0  # time to search for streams, s
+QUIET = "[log]\nlevel = -2\n"  # configuration of the LSL library, so that it prints no log
+# USB vendors of microcontroller boards and of USB serial converters
+BOARDS = {0x0403, 0x0483, 0x067B, 0x10C4, 0x16C0, 0x1915, 0x1A86, 0x2341, 0x239A, 0x2886, 0x2A03, 0x2E8A, 0x303A}
+LSL_FOLDERS = (".", "~/lsl_api", "/etc/lsl_api")  # folders of a user's lsl_api.cfg
 SOURCES = {  # function that returns the source of an address, by kind
     **{kind: f"undrift.live.transports:{kind}_source" for kind in ("tcp", "udp", "serial", "lsl")},
     "simulated": "undrift.live.hands:source_of",
@@ -125,9 +132,9 @@ class SerialPort:
 
     datagrams = False
 
-    def __init__(self, place: str, baud: int) -> None:
-        serial = package_of("serial", "pyserial", "serial port")
-        self._port = serial.serial_for_url(place, baudrate=baud, write_timeout=WRITE_S)
+    def __init__(self, place: str, baud: int, hardware_handshake: bool = False) -> None:
+        serial, self.baud = package_of("serial", "pyserial", "serial port"), baud
+        self._port = serial.serial_for_url(place, baudrate=baud, write_timeout=WRITE_S, rtscts=hardware_handshake)
 
     def receive(self, wait_s: float) -> bytes:
         """Return the bytes that have arrived."""
@@ -138,6 +145,11 @@ class SerialPort:
         first: bytes = self._port.read(1)
         waiting = self._port.in_waiting if first else 0
         return first + bytes(self._port.read(waiting)) if waiting else first
+
+    def set_baud(self, baud: int) -> None:
+        """Set another baud rate and discard the received bytes."""
+        self._port.baudrate = self.baud = baud
+        self._port.reset_input_buffer()
 
     def write(self, data: bytes) -> None:
         """Send all bytes, or raise OSError."""
@@ -172,14 +184,19 @@ def host_and_port(place: str) -> tuple[str, int]:
 
 
 def serial_ports() -> list[tuple[str, str]]:
-    """Return names and descriptions of the serial ports, those of USB first."""
+    """Return names and descriptions of the serial ports: microcontroller boards first, then other USB ports, then the rest."""
     ports = package_of("serial.tools.list_ports", "pyserial", "serial port").comports()
-    ports_by_kind = sorted(ports, key=lambda port: (port.vid is None, port.device))
+    ports_by_kind = sorted(ports, key=lambda port: (port.vid is None, port.vid not in BOARDS, port.device))
     return [(port.device, port.description if port.vid is not None else "built in") for port in ports_by_kind]
 
 
 def lsl_streams() -> list[tuple[str, str]]:
     """Return names and descriptions of the LSL streams in the network."""
+    is_configured = any(Path(folder, "lsl_api.cfg").expanduser().exists() for folder in LSL_FOLDERS)
+    if not is_configured and "LSLAPICFG" not in os.environ:
+        path = Path(tempfile.gettempdir()) / f"undrift-lsl-{os.getpid()}.cfg"
+        path.write_text(QUIET, encoding="ascii")
+        os.environ["LSLAPICFG"] = str(path)
     pylsl = package_of("pylsl", "pylsl", "LSL")
     streams = ((info, info.nominal_srate()) for info in pylsl.resolve_streams(SCAN_S))
     return [(info.name(), f"{info.type()}, {info.channel_count()} channels, {rate:g} Hz") for info, rate in streams]

@@ -296,8 +296,11 @@ class Readings(Protocol):
     def start(self, *, certain: bool = True) -> None:
         """Start to store the readings that the device takes from now on."""
 
+    def end(self) -> None:
+        """End the dwell now. ``stop`` omits later readings, because several devices are stopped one after the other."""
+
     def stop(self) -> Record:
-        """Return the readings from ``start`` to now, and stop storing."""
+        """Return the readings from ``start`` to ``end`` (or to now without ``end``) and stop storing."""
 
     def latest(self) -> str:
         """Return the latest reading as text, or "" if there are no readings."""

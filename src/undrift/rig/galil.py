@@ -6,8 +6,10 @@ never moves a rig. Every number is rounded as the card rounds it before it is se
 
 A turn is a move by a known distance (SP, PR, BG), which the card ends itself, even if this program has ended.
 
-The achieved rate comes from positions (TP), each at the middle between question and answer. If an answer is late or corrupted, the
-driver stops the axis (ST, then AB) and switches the motor off (MO). It then reports if the card confirmed the stop.
+The achieved rate is the difference of positions (TP) over the difference of the card's clock (TIME). The card returns TP and TIME
+in one answer. If a card cannot do that, TP is read without TIME, and its time is the middle between question and answer. If an
+answer is late or corrupted, the driver stops the axis (ST, then AB) and switches the motor off (MO). It then reports if the card
+confirmed the stop.
 
 Sources: command references DMC-1400, 2x00 and 40x0.
 """
@@ -16,7 +18,10 @@ import contextlib
 import logging
 import math
 import re
+from collections.abc import Iterable
 from dataclasses import replace
+
+import numpy as np
 
 from undrift.errors import InputError, LinkError, RigError, RigFault, RigTimeout
 from undrift.rig.link import Link, LinkedRig, LinkSettings, ask_until, end_of, link_settings
@@ -30,6 +35,7 @@ from undrift.rig.rig import (
     RigSettings,
     ServoReport,
     check_free,
+    in_words,
     steady_angle,
 )
 from undrift.units import RADIAN_PER_DEGREE
@@ -37,6 +43,7 @@ from undrift.units import RADIAN_PER_DEGREE
 # ---- Commands and answers, with strict parsing.
 
 NUMBER = re.compile(r"[ ]*-?[ ]?\d{1,12}(?:\.\d{1,8})?[ ]*")
+BOTH = re.compile(r" *(-?\d{10}) +(-?\d{10}) *")
 CABLE = "Check cable and baud rate."
 AXES = "ABCDEFGH"
 
@@ -92,9 +99,11 @@ class GalilCard(Link):
         match = re.match(r"\s*(\d{1,3})\b", reason)
         if not match:
             raise self.garbled("an error code", "TC1", repr(reason))
+        code = int(match.group(1))
+        cause = f"error {code}: {in_words('galil_error', code)}"
         raise RigFault(
-            f"{self.name}: the card rejected '{command}' (error {reason.strip()}). Check the state of the card.",
-            code=int(match.group(1)),
+            f"{self.name}: the card rejected '{command}' ({cause}). Check the state of the card.",
+            code=code,
             command=command,
         )
 
@@ -143,15 +152,32 @@ class GalilCard(Link):
         return LinkError(f"{self.name}: expected {wanted} in answer to '{command}', got {got}. {CABLE}")
 
 
+# ---- Clock of a card.
+
+OLD_SECOND = 1000.0 / 1024.0  # factor of old cards, which count milliseconds of 1/1024 s
+CRYSTAL = 2e-4  # largest relative difference between the clock rates of card and host, 1
+FINDING_S = 0.5  # longest search for the card's tick at the start, host s
+
+
+def matching_ticks(answers: Iterable[tuple[int, float, float]], sample_s: float) -> list[float]:
+    """Return the ticks, s, that agree with answers of TIME (ticks n, time of the question a, time of the answer b, s).
+
+    TIME counts samples or nominal milliseconds. On old cards a millisecond is 1/1024 s (DMC-1400 command reference, TM and TIME).
+    So the tick is 1 ms, 1000/1024 ms, TM or TM 1000/1024. Two answers bound it:
+
+        (a - b0) / (n - n0 + 1) <= tick <= (b - a0) / (n - n0 - 1)
+    """
+    n, asked, answered = np.array([*answers], dtype=float).T
+    count = n[-1] - n[:-1]
+    low = ((asked[-1] - answered[:-1]) / (count + 1.0)).max(initial=0.0)
+    high = ((answered[-1] - asked[:-1]) / np.maximum(count - 1.0, 0.5)).min(initial=math.inf)
+    candidates = {round(tick * factor, 12) for tick in (1e-3, sample_s) for factor in (1.0, OLD_SECOND)}
+    return [tick for tick in sorted(candidates) if low * (1.0 - CRYSTAL) <= tick <= high * (1.0 + CRYSTAL)]
+
+
 # ---- The rig.
 
-STOPS_THAT_ARE_FAULTS = {  # stop codes (SC)
-    2: "stopped by the forward limit",
-    3: "stopped by the reverse limit",
-    6: "stopped by the abort input",
-    8: "switched off because the following error passed its limit",
-    99: "timed out before reaching the position",
-}
+STOPS_THAT_ARE_FAULTS = (2, 3, 6, 8, 99)
 RECONNECTIONS = 4
 STOP_MARGIN_S = 2.0  # added to twice the expected stopping time, s
 START_ACCELERATION = 256_000.0  # default of the card, set at opening, counts/s2
@@ -174,6 +200,10 @@ class GalilRig(LinkedRig):
         self._last: int | None = None  # last position, counts
         self._read_at = 0.0  # time of its question, s
         self._when = (0.0, 0.0)  # time of the last position and its largest error, s
+        self._both = f"MG _TP{card.axis}{{F10.0}},TIME{{F10.0}}"  # ten digits each, so that a lost byte is detected
+        self._has_time = False  # True if the card returns position and time in one answer
+        self._tick: tuple[float, float] | None = None  # tick and host time of tick 0, s
+        self._sample_s: float | None = None  # sample period of the servo, s
         try:
             self._prepare(settings)
         except RigError:
@@ -189,7 +219,7 @@ class GalilRig(LinkedRig):
             return answer
 
     def position(self) -> Position:
-        """Return the angle since the rig was opened (TP), rad, and its time."""
+        """Return the angle since the rig was opened (TP), rad, and its time from the card's clock if available (TIME)."""
         with self._guarded():
             counts = self._counts()
         time, within_s = self._when
@@ -206,14 +236,14 @@ class GalilRig(LinkedRig):
             wrong = wrong_switches(self.card.integer(f"TS{self.card.axis}", 0, 255), self._enabled)
             code = self.card.integer(f"SC{self.card.axis}", 0, 255)
         if code in STOPS_THAT_ARE_FAULTS:
-            wrong.append(f"{STOPS_THAT_ARE_FAULTS[code]} (stop code {code})")
+            wrong.append(f"{in_words('galil_stop', code)} (stop code {code})")
         return "; ".join(wrong) or None
 
     def read_servo(self) -> ServoReport:
         """Return the gains (KP, KI, KD) and the sample period (TM) of the card."""
         with self._guarded():
             gains = {name: self.card.number(f"MG _{name.upper()}{self.card.axis}") for name in ("kp", "ki", "kd")}
-            return ServoReport(sample_s=1e-6 * self.card.number("MG _TM"), **gains)
+            return ServoReport(sample_s=self._sample_s or 1e-6 * self.card.number("MG _TM"), **gains)
 
     def enable(self, on: bool) -> None:
         """Switch the motor on (SH), or stop the axis and switch the motor off (MO)."""
@@ -270,6 +300,7 @@ class GalilRig(LinkedRig):
             card.set("OE", 1)
             self._set_ramps(ACCELERATION.round(min(START_ACCELERATION, self._scale.counts(self.limits.acceleration))))
             self._enabled = self._is_on()
+            self._find_clock()
             self._home = self._counts()
             forward, reverse = LONGEST_MOVE, -LONGEST_MOVE  # no limits in effect
             if self.limits.travel is not None:
@@ -278,13 +309,43 @@ class GalilRig(LinkedRig):
             card.set("FL", forward, tolerance=2)
             card.set("BL", reverse, tolerance=2)
 
-    # ---- Position
+    # ---- Position and time
+
+    def _find_clock(self) -> None:
+        """Use the card's clock if the card returns position and time in one answer. Search briefly for its tick."""
+        answer = self.card.ask(self._both)
+        self._has_time = answer is not None and bool(BOTH.fullmatch(answer.strip("\r\n")))
+        if not self._has_time:
+            return
+        sample_s = 1e-6 * self.card.number("MG _TM")
+        answers = list[tuple[int, float, float]]()
+
+        def only_tick() -> float | None:
+            answers.append(self._read()[1:])
+            ticks = matching_ticks(answers, sample_s)
+            return ticks[0] if len(ticks) == 1 else None
+
+        if tick_s := self.clock.host.until(only_tick, FINDING_S):
+            n, asked_s, answered_s = min(answers, key=lambda answer: answer[2] - answer[1])
+            self._tick = tick_s, 0.5 * (asked_s + answered_s) - tick_s * n
+            old_ticks = (1e-3 * OLD_SECOND, sample_s * OLD_SECOND)
+            is_old = any(math.isclose(tick_s, tick, rel_tol=1e-9) for tick in old_ticks)
+            self._sample_s = sample_s * (OLD_SECOND if is_old else 1.0)
+
+    def _read(self) -> tuple[int, int, float, float]:
+        """Return the position in counts, the card's time in ticks, and the times of question and answer, s."""
+        asked_s = self.clock.now()
+        if not self._has_time:
+            return self.card.position(f"TP{self.card.axis}"), 0, asked_s, self.clock.now()
+        answer = self.card.text(self._both)
+        match = BOTH.fullmatch(answer)
+        if not match:
+            raise self.card.garbled("two numbers with ten digits", self._both, repr(answer))
+        return int(match.group(1)), int(match.group(2)), asked_s, self.clock.now()
 
     def _counts(self) -> int:
         """Return the position in counts, and store its time. A position that the axis cannot have reached raises LinkError."""
-        asked_s = self.clock.now()
-        counts = self.card.position(f"TP{self.card.axis}")
-        answered_s = self.clock.now()
+        counts, ticks, asked_s, answered_s = self._read()
         # largest possible motion, from the last question to this answer, and 10 deg
         reach = 1.5 * self._fastest * (answered_s - self._read_at) + self._scale.counts_per_turn / 36.0
         if self._last is not None and abs(counts - self._last) > reach:
@@ -295,6 +356,9 @@ class GalilRig(LinkedRig):
             )
         self._last, self._read_at = counts, asked_s
         self._when = 0.5 * (asked_s + answered_s), 0.5 * (answered_s - asked_s)
+        if self._tick is not None:
+            tick_s, zero_s = self._tick
+            self._when = zero_s + tick_s * (ticks + 0.5), 0.5 * tick_s
         return counts
 
     def _angle_now(self) -> float:

@@ -18,7 +18,7 @@ from undrift.base.clock import HOST, Clock
 from undrift.errors import InputError, LimitError, LinkError, RigError, RigFault, RigTimeout
 from undrift.live.transports import number_of
 from undrift.rig.link import Link, LinkedRig, LinkSettings, ask_until, end_of, link_settings
-from undrift.rig.rig import Position, RigSettings, check_free, steady_angle
+from undrift.rig.rig import Position, RigSettings, check_free, in_words, steady_angle
 from undrift.units import RADIAN_PER_DEGREE
 
 # ---- Commands: lines, and single characters that act immediately.
@@ -26,11 +26,6 @@ from undrift.units import RADIAN_PER_DEGREE
 STATES = ("Idle", "Run", "Hold", "Jog", "Alarm", "Door", "Check", "Home", "Sleep")
 MOVING = ("Jog", "Run", "Hold", "Home")
 JOG_CANCEL, HOLD, RESET = b"\x85", b"!", b"\x18"
-ALARMS = {
-    1: "a limit switch was hit, and the position is lost",
-    2: "the target lies outside the travel",
-    3: "reset while moving, and the position is lost",
-}
 PLACE = re.compile(r"-?\d{1,9}\.\d{1,6}(?:,-?\d{1,9}\.\d{1,6}){0,5}")
 KNOWN = re.compile(r"|ok|\[.*\]|<.*>|\$\d{1,3}=.*|Grbl .*|ALARM:\d{1,2}|error:\d{1,3}")
 
@@ -71,10 +66,9 @@ class GrblBoard(Link):
         *answer, last = self._lines(line)
         if last.startswith("error:"):
             code = int(last.removeprefix("error:"))
+            cause = f"error {code}: {in_words('grbl_error', code)}"
             raise RigFault(
-                f"{self.name}: the board rejected '{line}' (error {code}). Look the number up in its firmware's list.",
-                code=code,
-                command=line,
+                f"{self.name}: the board rejected '{line}' ({cause}). Check its state.", code=code, command=line
             )
         return answer
 
@@ -134,7 +128,7 @@ class GrblBoard(Link):
                 raise LinkError(f"{self.name}: {line!r} is not an answer to '{question}'. Check cable and baud rate.")
             if line.startswith("ALARM:"):
                 code = int(line.removeprefix("ALARM:"))
-                self.alarm = f"{ALARMS.get(code, 'see the list of its firmware')} (alarm {code})"
+                self.alarm = f"{in_words('grbl_alarm', code)} (alarm {code})"
         return lines
 
 

@@ -1,12 +1,13 @@
-"""Accept or reject a dwell: steady turn, complete readings, device at rest if it should be.
+"""Accept or reject a dwell: steady turn, complete readings, device at rest if it should be, steady temperature of air and board.
 
-Let w be the turn rate, T the dwell and d the time uncertainty of a position (the link's delay). With a = angle_tolerance, a dwell
-is accepted if
+Let w be the turn rate, T the dwell and d the time uncertainty of a position (the link's delay, or a tick). With a =
+angle_tolerance, a dwell is accepted if
 
     |slope - w|           <= tolerance |w| + (a + 2 |w| d) / T
+    |between ends - w|    <= tolerance |w| + 2 (a + |w| d) / T
     misfit                <= a                                    no stop and no jump (rig/rig.py)
     2 d / T               <= link_tolerance, if w is not 0        otherwise the delays hide the motion, and the dwell is repeated
-    finite readings       >= least_part of those expected
+    finite readings, air and board: at least least_part of them, and steady (check_readings, check_board, _look_at_air)
 
 A rest is repeated if the table was pushed or the wrong face was mounted (`Disturbed`). Let s be the spread of a channel in the
 first rests of this rig, and f the mean specific force of a face.
@@ -29,7 +30,8 @@ from undrift.record import Face, Record
 from undrift.rig.rig import Achieved
 from undrift.units import RADIAN_PER_DEGREE, is_physical
 
-PARTS = 8  # number of parts of a rest
+PARTS = 8  # number of parts of a dwell
+COARSEST_C = 1.0  # largest resolution step of a thermometer, K (a larger step is a jump)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,13 +70,14 @@ def check_rate(achieved: Achieved, set_rate: float, settings: RunSettings, where
     off = settings.turn_rate_tolerance * abs(set_rate)
     slip = settings.angle_tolerance / achieved.span_s
     late = 2.0 * abs(set_rate) * achieved.delay_s / achieved.span_s
-    rate, allowed = achieved.turn_rate, off + slip + late
-    if not abs(rate - set_rate) <= allowed:
-        raise RigFault(
-            f"rig: expected {set_rate:.6g} rad/s within {allowed:.2g} in {where}, got {rate:.6g}. Check the table, its "
-            "amplifier and its encoder.",
-            turn_rate=rate,
-        )
+    rates = ((achieved.turn_rate, off + slip + late), (achieved.between_ends, off + 2.0 * slip + late))
+    for rate, allowed in rates:
+        if not abs(rate - set_rate) <= allowed:
+            raise RigFault(
+                f"rig: expected {set_rate:.6g} rad/s within {allowed:.2g} in {where}, got {rate:.6g}. Check the table, its "
+                "amplifier and its encoder.",
+                turn_rate=rate,
+            )
     if not achieved.misfit <= settings.angle_tolerance:
         raise RigFault(
             f"rig: expected a steady turn within {settings.angle_tolerance / RADIAN_PER_DEGREE:.2g} deg in {where}, got a "
@@ -98,6 +101,25 @@ def check_readings(record: Record, dwell_s: float, settings: RunSettings, where:
             readings=finite,
         )
     return len(record) - finite
+
+
+def check_board(record: Record, tolerance_c: float, where: str) -> None:
+    """Raise RigFault if the device's thermometer drifts or jumps in a dwell. Without thermometer, nothing is checked."""
+    if record.temp_c is None:
+        return
+    temp_c = record.temp_c[np.isfinite(record.temp_c)]
+    if len(temp_c) < 2:
+        return
+    middles = [float(np.median(chunk)) for chunk in np.array_split(temp_c, min(PARTS, len(temp_c)))]
+    steps = np.diff(np.unique(temp_c))
+    step_c = min(float(steps.min()), COARSEST_C) if len(steps) else 0.0
+    change_c = max(middles) - min(middles)
+    if change_c > tolerance_c + step_c:
+        raise RigFault(
+            f"device: its temperature must be steady within {tolerance_c:g} K in {where}, got a change of {change_c:.2f} K. "
+            "Check the chamber and the air around the device, then continue with `resume`.",
+            change_c=change_c,
+        )
 
 
 # ---- Comparison of a rest with earlier rests of the rig.

@@ -51,6 +51,7 @@ class LinkSettings:
     reply_timeout_s: float = 2.0  # longest wait for a reply, s, unless an exchange overrides it
     connect_timeout_s: float = 5.0  # longest wait for a connection, s
     baud: int = 19200  # bits per second of a serial port
+    hardware_handshake: bool = False  # RTS/CTS of a serial port
     clock: Clock = HOST  # clock of the timeouts
 
     def __post_init__(self) -> None:
@@ -62,6 +63,7 @@ def link_settings(settings: RigSettings, baud: int = 19200) -> LinkSettings:
     return LinkSettings(
         reply_timeout_s=settings.reply_timeout_s,
         baud=settings.baud or baud,
+        hardware_handshake=settings.hardware_handshake,
         clock=settings.timing.host,
     )
 
@@ -77,7 +79,7 @@ def open_port(url: str, settings: LinkSettings) -> Port:
         )
     try:
         if not host:
-            return SerialPort(url.removeprefix("serial://"), settings.baud)
+            return SerialPort(url.removeprefix("serial://"), settings.baud, settings.hardware_handshake)
         return tcp_port(host, port, settings.connect_timeout_s, settings.clock)
     except (OSError, ValueError) as error:  # pyserial's SerialException is an OSError
         reason = reason_of(error)

@@ -11,8 +11,11 @@ add a row to CONTROLLERS.
 """
 
 import math
+import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
+from importlib.resources import files
 from typing import Literal, Protocol
 
 import numpy as np
@@ -134,8 +137,9 @@ class Position:
     """Angle of the axis at a time."""
 
     angle: float  # rad
-    time: float  # clock of the table, s (use differences only)
-    within_s: float = 0.0  # largest error of the time, s: half of the round trip
+    time: float  # host's monotonic clock, s (use differences only, since a controller's clock may contribute)
+    # largest error of the time, s: half of the round trip, or half a tick of the controller's clock
+    within_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -195,6 +199,7 @@ class Achieved:
 
     turn_rate: float  # rad/s
     uncertainty: float  # standard uncertainty, rad/s
+    between_ends: float  # mean rate between the first and the last position, rad/s
     # largest deviation from steady motion that the delays of the link cannot explain, rad
     misfit: float
     span_s: float  # time from the first position to the last, s
@@ -204,10 +209,11 @@ class Achieved:
 def achieved_turn_rate(positions: Sequence[Position]) -> Achieved:
     """Return the mean rate over a dwell: the slope of a weighted least-squares line through (t_i, phi_i), weights 1 / d^2.
 
-    The time of a position is uncertain by d, the round trip of the link. Half the median d is added in quadrature, so that a few
-    quick answers do not dominate the fit. With S = sum w (t - tm)^2 and r = sum w residual^2, the standard uncertainty is
-    sqrt(r / ((n - 2) S)). It includes counts and delays, and every other error increases it. The misfit,
-    max |residual_i| - |slope| (d_i + median d), therefore tests if the table turned steadily.
+    The time of a position is uncertain by d, the round trip of the link or a tick of the controller's clock. Half the median d is
+    added in quadrature, so that a few quick answers do not dominate the fit. With S = sum w (t - tm)^2 and r = sum w residual^2,
+    the standard uncertainty is sqrt(r / ((n - 2) S)). It includes counts and delays, and every other error increases it. Two other
+    numbers therefore test if the table turned steadily. The first is the misfit, max |residual_i| - |slope| (d_i + median d). The
+    second is the rate between the first and the last position.
     """
     if len(positions) < 3:
         raise InputError(
@@ -230,6 +236,7 @@ def achieved_turn_rate(positions: Sequence[Position]) -> Achieved:
     return Achieved(
         turn_rate=slope,
         uncertainty=float(np.sqrt(spread)),
+        between_ends=float((angle[-1] - angle[0]) / (time[-1] - time[0])),
         misfit=max(0.0, float(beyond.max())),
         span_s=float(time[-1] - time[0]),
         delay_s=float(max(np.median(delay), delay[0], delay[-1])),
@@ -256,6 +263,28 @@ def steady_angle(turn_rate: float, seconds: float, acceleration: float) -> float
     return turn_rate * (seconds - ramp_s)
 
 
+TURN_RATE = 90.0 * DPS  # largest rate of a turn by a known angle, rad/s
+ANGLE_TOLERANCE = 0.5 * DPS  # largest error of such a turn, which is measured more accurately, rad
+
+
+def turn_by(rig: Rig, angle: float, acceleration: float, clock: Clock) -> float:
+    """Turn by an angle, wait until the axis is at rest, and return the angle from the positions before and after, rad."""
+    turn_rate = min(TURN_RATE, rig.limits.turn_rate, 0.5 * math.sqrt(abs(angle) * acceleration))
+    seconds = abs(angle) / turn_rate + turn_rate / acceleration
+    before = rig.position().angle
+    rig.turn_for(math.copysign(turn_rate, angle), seconds)
+    clock.wait(seconds)
+    rig.stop()
+    turned = rig.position().angle - before
+    if not abs(turned - angle) <= ANGLE_TOLERANCE:
+        raise RigFault(
+            f"rig: expected a turn by {angle / DPS:g} deg, got {turned / DPS:g}. Check the table, its limit switches and its "
+            "amplifier.",
+            turned=turned,
+        )
+    return turned
+
+
 # ---- Check of a programme against the limits of a rig, before anything moves.
 
 TRAVEL_MARGIN = 1.1  # a dwell's move is planned longer by this factor and ended early, because waits can overrun
@@ -274,11 +303,7 @@ def check_programme(
                 f"{step}). Replace [rates] with [turns] in the protocol."
             )
         return
-    if turns := [number for number, step in pending if step.purpose == "turn"]:
-        raise InputError(
-            f"rig: turns by a known angle are done by an operator, got {len(turns)} of them (first step {turns[0]}). Use the "
-            "rig manual: or replace [turns] with [rates] in the protocol."
-        )
+
     try:
         where = ""
         limits.check_acceleration(programme.acceleration)
@@ -286,10 +311,25 @@ def check_programme(
         for number, step in pending:
             where = f"step {number} ({step}): "
             limits.check_turn_rate(step.turn_rate)
-            limits.check_travel(angle + TRAVEL_MARGIN * step.travel)
+            limits.check_travel(step.angle or angle + TRAVEL_MARGIN * step.travel)
             angle += step.travel
     except LimitError as error:
         raise InputError(f"{where}{error}", **error.numbers) from error
+
+
+# ---- Error and stop codes of controllers.
+
+
+@cache
+def codes(kind: str) -> dict[str, str]:
+    """Return the meanings of a kind of code: galil_error (TC), galil_stop (SC), grbl_error, grbl_alarm."""
+    table: dict[str, str] = tomllib.loads((files("undrift.rig") / "codes.toml").read_text(encoding="utf-8"))[kind]
+    return table
+
+
+def in_words(kind: str, code: int) -> str:
+    """Return the meaning of a code."""
+    return codes(kind).get(str(code), codes(kind)["other"])
 
 
 # ---- Addresses.
@@ -308,6 +348,7 @@ class RigSettings:
     encoder_lines: int = 10_000  # lines of a servo's encoder, 4 counts each
     axis: str = ""  # letter of the axis ("" selects the rig's default)
     baud: int = 0  # bits per second of a serial port (0 selects the rig's default)
+    hardware_handshake: bool = False  # RTS/CTS of a serial port
     reply_timeout_s: float = 2.0  # longest wait for an answer, s
     accept: Literal["off", "on", "moving"] = "moving"  # state of the motor in which a table may be opened
     clock_speed: float = 1.0  # table seconds per host second (1 for hardware)
@@ -325,6 +366,7 @@ OPTIONS: dict[str, Callable[[str], object]] = {
     "encoder_lines": int,
     "axis": str.upper,
     "baud": int,
+    "hardware_handshake": lambda text: {"yes": True, "no": False}[text],
     "reply_timeout_s": float,
     "clock_speed": float,
 }
@@ -355,7 +397,7 @@ def parse_address(address: str, settings: RigSettings = RigSettings()) -> tuple[
             raise InputError(f"rig: unknown option '{name}' in the address. Use one of {', '.join(OPTIONS)}.")
         try:
             settings = replace(settings, **{name: OPTIONS[name](text)})  # type: ignore[arg-type]
-        except ValueError as error:
+        except (ValueError, KeyError) as error:
             raise InputError(f"rig: '{text}' is not a value for {name}. Correct the address.") from error
     if kind == "simulated" and settings.clock is None:
         if not settings.clock_speed > 0.0:

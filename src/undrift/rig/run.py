@@ -3,13 +3,16 @@
 For each dwell, the run starts a turn of its duration, waits for the ramp and lets the device settle. It then reads the device,
 polls positions and stops the table. Finally, it checks the dwell (rig/judge.py) and writes it. The turn rate stored with the
 readings is measured with the encoder over the dwell. A dwell that was disturbed or read late is repeated, up to three times.
+
+Several devices on a table are mounted in the same orientation and read in the same dwells, with one folder per device. A device
+that fails in a dwell misses that dwell. If all devices fail, the run ends.
 """
 
 import logging
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -24,14 +27,28 @@ from undrift.rig.judge import (
     Disturbed,
     RestCheck,
     RunSettings,
+    check_board,
     check_delays,
     check_rate,
     check_readings,
 )
 from undrift.rig.lock import uninterrupted
 from undrift.rig.manual import ManualRig
-from undrift.rig.rig import TRAVEL_MARGIN, Position, Rig, achieved_turn_rate, check_programme
+from undrift.rig.rig import TRAVEL_MARGIN, Position, Rig, achieved_turn_rate, check_programme, turn_by
 
+Phase = Literal[
+    "enabling",
+    "mounting",
+    "setting",
+    "soaking",
+    "ramping",
+    "settling",
+    "dwelling",
+    "turning",
+    "resting",
+    "writing",
+    "closing",
+]
 POLLS = 20  # number of positions in a short dwell
 POLL_S = 0.1  # time between two positions in a long dwell, host s
 ATTEMPTS = 3  # number of attempts at a dwell
@@ -52,11 +69,40 @@ class RigBench:
     clock: Clock = field(default_factory=Clock)  # clock of the rig
 
 
+@dataclass(slots=True, kw_only=True, eq=False)
+class Mounted:
+    """A device on the table, with its folder and the check that compares a rest with earlier rests."""
+
+    readings: Readings
+    folder: RunFolder
+    serial: str = ""
+    rests: RestCheck = field(default_factory=RestCheck)
+    missed: dict[int, RigError] = field(default_factory=dict)  # reasons for missed dwells, by step number
+
+    def keep(self, number: int, step: Dwell, record: Record, **fields: Any) -> None:
+        """Write a dwell to the disk. `fields` are further fields of RecordedDwell."""
+        piece = RecordedDwell(
+            step=number,
+            purpose=step.purpose,
+            up=step.up,
+            axis=step.axis,
+            samples=len(record),
+            start_s=float(record.time[0]),
+            stop_s=float(record.time[-1]) + float(np.median(np.diff(record.time))),
+            nominal_turn_rate=step.turn_rate,
+            temp_c=step.temp_c,
+            device_c=mean_temp(record),
+            **fields,
+        )
+        self.folder.keep(record, piece)
+        self.rests.keep(step, record, piece.name)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Progress:
     """Progress of a run."""
 
-    phase: str  # current phase: mounting, soaking, dwelling and so on
+    phase: Phase  # current phase
     number: int  # number of the current step
     steps: int  # total number of steps
     step: str  # description of the step
@@ -72,8 +118,10 @@ class RunResult:
     added: int  # number of dwells that this run added
     duration_s: float  # duration of this run, table s
     rig: str  # identity that the rig reports
+    others: tuple["RunResult", ...] = ()  # results of the other devices on the table
 
 
+Done = TypeVar("Done")
 Report = Callable[[Progress], None]
 
 
@@ -86,52 +134,71 @@ def run_programme(
     serial: str = "",
     gravity_m_s2: float | None = None,
     settings: RunSettings = RunSettings(),
+    others: Sequence[Mounted] = (),
 ) -> RunResult:
-    """Run all dwells that are not on the disk yet."""
-    run = _Run(programme, bench, folder, report, settings)
-    done = folder.done
+    """Run all dwells that are not on the disk yet. Each further device in `others` has its own folder."""
+    devices = (Mounted(readings=bench.readings, folder=folder, serial=serial), *others)
+    run = _Run(programme, bench, devices, report, settings)
+    before = [len(device.folder.done) for device in devices]
     try:
+        done = frozenset.intersection(*(device.folder.done for device in devices))
         check_programme(programme, bench.rig.limits, done, by_hand=isinstance(bench.rig, ManualRig))
         temps_c = {step.temp_c for step in programme.steps if isinstance(step, Soak)}
         if bench.chamber is None and temps_c:
             raise InputError("run: the programme has temperatures, which require a chamber. Set its address.")
         rig_name = bench.rig.identify()
         kind: Kind = "thermal" if len(temps_c) > 1 else "calibration"  # tables require two temperatures
-        folder.begin(Head(protocol=folder.digest, rig=rig_name, serial=serial, gravity_m_s2=gravity_m_s2, kind=kind))
-        run.remember_rests()
+        for device in devices:
+            identity = {"protocol": device.folder.digest, "rig": rig_name, "serial": device.serial}
+            device.folder.begin(Head(gravity_m_s2=gravity_m_s2, kind=kind, **identity))
+            for piece in device.folder.pieces:
+                step = programme.steps[piece.step]
+                if isinstance(step, Dwell):
+                    device.rests.keep(step, read_own_parquet(device.folder.path / piece.name), piece.name)
         start = bench.clock.now()
         run.all_but(done)
     except BaseException as error:
         run.close(error)
         raise
     run.close(None)
-    return RunResult(
-        pieces=folder.pieces,
-        added=len(folder.done) - len(done),
-        duration_s=bench.clock.now() - start,
-        rig=rig_name,
+    for device in devices:
+        _check_whole(programme, device)
+    first, *further = (
+        RunResult(
+            pieces=device.folder.pieces,
+            added=len(device.folder.done) - count,
+            duration_s=bench.clock.now() - start,
+            rig=rig_name,
+        )
+        for device, count in zip(devices, before, strict=True)
     )
+    return replace(first, others=tuple(further))
+
+
+def _check_whole(programme: Programme, device: Mounted) -> None:
+    """Raise RigTimeout if a device missed dwells."""
+    steps = {number for number, step in enumerate(programme.steps) if isinstance(step, Dwell)}
+    if missing := sorted(steps - device.folder.done):
+        reason = str(device.missed.get(missing[0], "it failed before")).removesuffix(".")
+        raise RigTimeout(
+            f"{device.folder.path}: expected {len(steps)} dwells, got {len(steps) - len(missing)}. Step {missing[0]} "
+            f"({programme.steps[missing[0]]}) is missing: {reason}. Check this device and continue with `resume`."
+        )
 
 
 class _Run:
     """A run in progress."""
 
     def __init__(
-        self, programme: Programme, bench: RigBench, folder: RunFolder, report: Report, settings: RunSettings
+        self, programme: Programme, bench: RigBench, devices: tuple[Mounted, ...], report: Report, settings: RunSettings
     ) -> None:
-        self._programme, self._folder, self._report, self._settings = programme, folder, report, settings
-        self._rig, self._clock, self._chamber = bench.rig, bench.clock, bench.chamber
-        self._readings, self._mounting, self._rests = bench.readings, bench.mounting, RestCheck()
-        self._enabled = False
+        self._programme, self._rig, self._clock, self._chamber = programme, bench.rig, bench.clock, bench.chamber
+        self._mounting, self._devices, self._report, self._settings = bench.mounting, devices, report, settings
+        self._enabled = self._air_steady = False
+        self._due = devices  # devices that read the current step
         self._old_fault: str | None = None
+        self._acceleration = programme.acceleration  # as the controller set it, rad/s2
         self._number, self._step, self._began, self._left_s = 0, programme.steps[0], bench.clock.now(), 0.0
-
-    def remember_rests(self) -> None:
-        """Add the rests on the disk to the check that compares a rest with earlier rests."""
-        for piece in self._folder.pieces:
-            step = self._programme.steps[piece.step]
-            if isinstance(step, Dwell):
-                self._rests.keep(step, read_own_parquet(self._folder.path / piece.name), piece.name)
 
     def all_but(self, done: frozenset[int]) -> None:
         """Run the dwells that are not done, each after its mounting and its soak."""
@@ -182,13 +249,19 @@ class _Run:
     # ---- Soaks
 
     def _soak(self, step: Soak, chamber: Chamber) -> None:
-        """Set the chamber and wait until the air and the device are steady."""
+        """Set the chamber and wait until the air and all devices are steady."""
+        self._due = self._devices
         self._say("setting" if chamber.near_c is not None else "soaking")  # setting by hand takes time
         chamber.set(step.temp_c)
         last = self._clock.now() + self._settings.soak_timeout_s
-        board = BoardWatch(self._readings, self._clock, step, chamber, self._settings.device_lag_s)
-        while not board.followed(chamber.soaked()):
-            air_c = chamber.read()
+        lag_s = self._settings.device_lag_s
+        boards = self._sound(self._due, lambda device: BoardWatch(device.readings, self._clock, step, chamber, lag_s))
+        while True:
+            self._air_steady = chamber.soaked()
+            steady = self._sound(boards, lambda device: boards[device].followed(self._air_steady))
+            if all(steady.values()):
+                return
+            board, air_c = boards[next(iter(steady))], chamber.read()
             live = f"{'air not read' if air_c is None else f'{air_c:.2f} degC'}{board}"
             if self._clock.now() > last:
                 raise RigTimeout(
@@ -214,27 +287,37 @@ class _Run:
     # ---- Dwells
 
     def _dwell(self, step: Dwell) -> None:
-        """Read a dwell. Repeat it if it was disturbed or late."""
+        """Read a dwell with all devices that do not have it. Repeat it for devices that were disturbed or late."""
+        self._due = tuple(device for device in self._devices if self._number not in device.folder.done)
+        for device in self._due:
+            device.missed.pop(self._number, None)
         self._enable()
-        if isinstance(self._rig, ManualRig) and step.purpose == "turn":
-            self._turn_by_angle(step, self._rig)
+        if step.purpose == "turn":
+            self._turn_by_angle(step)
             return
         limited = step.turn_rate != 0.0 and self._rig.limits.travel is not None  # another turn would exceed the travel
+        devices = self._due
         for attempt in range(1, ATTEMPTS + 1):
-            problem = self._read_dwell(step, attempt, limited)
-            if problem is None:
+            problems = self._read_dwell(step, devices, attempt, limited)
+            if not problems:
                 return
             if limited or attempt == ATTEMPTS:
-                raise problem
-            log.warning("%s The dwell is repeated.", problem)
-            if step.purpose == "face" and isinstance(problem, Disturbed):
+                break
+            for error in problems.values():
+                log.warning("%s The dwell is repeated.", error)
+            if step.purpose == "face" and any(isinstance(error, Disturbed) for error in problems.values()):
                 self._disable()
                 self._mount(step.up)
                 self._enable()
+            devices = tuple(problems)
+        for device, error in problems.items():
+            self._miss(device, error)
 
-    def _read_dwell(self, step: Dwell, attempt: int, limited: bool) -> RigError | None:
-        """Turn, read, check and write a dwell. Return the reason if it must be repeated."""
-        rig, clock, turning, settings = self._rig, self._clock, step.turn_rate != 0.0, self._settings
+    def _read_dwell(
+        self, step: Dwell, devices: Sequence[Mounted], attempt: int, limited: bool
+    ) -> dict[Mounted, RigError]:
+        """Turn, read, check and write a dwell. Return the devices that must repeat it, with the reason."""
+        rig, clock, turning = self._rig, self._clock, step.turn_rate != 0.0
         set_rate, last = 0.0, math.inf
         if turning:
             spare_s = (TRAVEL_MARGIN - 1.0) * abs(step.travel / step.turn_rate)
@@ -247,36 +330,41 @@ class _Run:
         self._say("settling")
         clock.wait(step.settle_s)
         self._check_air(step)
-        record, positions = self._read(step)
-        chamber_c, achieved = self._check_air(step), achieved_turn_rate(positions)
-        late_s = clock.now() - last
+        records, positions = self._read(step, devices)
+        chamber_c, achieved, settings = self._check_air(step), achieved_turn_rate(positions), self._settings
         if turning:
+            late_s = clock.now() - last
             rig.stop()
-        try:
-            if turning:
+            try:
                 check_delays(achieved, late_s, settings, self._where)
-            check_rate(achieved, set_rate, settings, self._where)
-            missing = check_readings(record, step.dwell_s, settings, self._where)
-            self._rests.check(step, record, self._where)
-        except (Disturbed, RigTimeout) as error:
-            return error
-        self._keep(
-            step,
-            record,
-            missing=missing,
-            chamber_c=chamber_c,
-            set_turn_rate=set_rate,
-            turn_rate=achieved.turn_rate,
-            turn_rate_uncertainty=achieved.uncertainty,
-        )
-        return None
+            except RigTimeout as error:
+                return dict.fromkeys(records, error)
+        check_rate(achieved, set_rate, settings, self._where)
+        rates = {"set_turn_rate": set_rate, "turn_rate": achieved.turn_rate}
+        rates["turn_rate_uncertainty"] = achieved.uncertainty
 
-    def _read(self, step: Dwell) -> tuple[Record, list[Position]]:
-        """Read device and encoder over a dwell."""
-        clock, phase = self._clock, "dwelling" if step.turn_rate != 0.0 else "resting"
+        def take(device: Mounted) -> RigError | None:
+            record = records[device]
+            if step.temp_c is not None and self._chamber is not None:
+                check_board(record, self._chamber.criterion.tolerance_c, self._where)
+            try:
+                missing = check_readings(record, step.dwell_s, settings, self._where)
+                device.rests.check(step, record, self._where)
+            except (Disturbed, RigTimeout) as error:
+                return error
+            device.keep(self._number, step, record, missing=missing, chamber_c=chamber_c, **rates)
+            return None
+
+        self._say("writing")
+        return {device: error for device, error in self._sound(records, take).items() if error is not None}
+
+    def _read(self, step: Dwell, devices: Iterable[Mounted]) -> tuple[dict[Mounted, Record], list[Position]]:
+        """Read devices and encoder over a dwell."""
+        clock = self._clock
+        phase: Phase = "dwelling" if step.turn_rate != 0.0 else "resting"
         every_s = min(POLL_S * clock.speed, step.dwell_s / POLLS)
         self._say(phase)
-        self._readings.start()
+        devices = [*self._sound(devices, lambda device: device.readings.start())]
         air_read_at, positions = clock.now(), list[Position]()
         stop = air_read_at + step.dwell_s
         while clock.now() < stop or len(positions) < 3:
@@ -285,63 +373,73 @@ class _Run:
                 air_read_at = clock.now()
             clock.wait(every_s)  # before each position, so that the delays of the link are equal
             positions.append(self._rig.position())
-            self._say(phase, self._readings.latest())
-        return self._record(), positions
+            latest = self._sound(devices, lambda dev: f"{dev.readings.latest()} of {dev.serial or 'the device'}")
+            devices = [*latest]
+            self._say(phase, next(iter(latest.values()), ""))
+        return self._records(devices), positions
 
-    def _turn_by_angle(self, step: Dwell, rig: ManualRig) -> None:
-        """Read a turn by a known angle, with the rests before and after it. The operator reports the angle."""
+    def _turn_by_angle(self, step: Dwell) -> None:
+        """Read a turn by a known angle, with the rests before and after it. The rig or the operator reports the angle."""
         rest_s = 0.5 * (step.dwell_s - TURN_S)
         self._say("resting")
         self._clock.wait(step.settle_s)
         chamber_c = self._check_air(step)
-        self._readings.start()
+        devices = [*self._sound(self._due, lambda device: device.readings.start())]
         self._clock.wait(rest_s)
         self._say("turning")
-        angle = rig.move_by(step.angle)
+        if isinstance(self._rig, ManualRig):
+            angle = self._rig.move_by(step.angle)
+        else:
+            angle = turn_by(self._rig, step.angle, self._acceleration, self._clock)
         self._say("resting")
         self._clock.wait(rest_s)
-        record = self._record()
+        records = self._records(devices)
         self._check_air(step)
-        missing = check_readings(record, 0.0, self._settings, self._where)
-        self._keep(step, record, missing=missing, chamber_c=chamber_c, angle=angle)
 
-    def _record(self) -> Record:
-        """Return the readings of the dwell until now, and raise RigFault if the rig reports a new fault."""
-        record = self._readings.stop()
+        def take(device: Mounted) -> None:
+            missing = check_readings(records[device], 0.0, self._settings, self._where)
+            device.keep(self._number, step, records[device], missing=missing, chamber_c=chamber_c, angle=angle)
+
+        self._say("writing")
+        self._sound(records, take)
+
+    def _records(self, devices: Sequence[Mounted]) -> dict[Mounted, Record]:
+        """Return the readings of the devices until now, and raise RigFault if the rig reports a new fault."""
+        for device in devices:  # all at the same time, so that a device without answer does not prolong other dwells
+            device.readings.end()
+        records = self._sound(devices, lambda device: device.readings.stop())
         fault = self._rig.fault()
         if fault is not None and fault != self._old_fault:
             raise RigFault(f"rig: fault in {self._where}: {fault}. Check the table.")
-        return record
+        return records
 
-    def _keep(self, step: Dwell, record: Record, **fields: Any) -> None:
-        """Write a dwell to the disk. `fields` are further fields of RecordedDwell."""
-        self._say("writing")
-        piece = RecordedDwell(
-            step=self._number,
-            purpose=step.purpose,
-            up=step.up,
-            axis=step.axis,
-            samples=len(record),
-            start_s=float(record.time[0]),
-            stop_s=float(record.time[-1]) + float(np.median(np.diff(record.time))),
-            nominal_turn_rate=step.turn_rate,
-            temp_c=step.temp_c,
-            device_c=mean_temp(record),
-            **fields,
-        )
-        self._folder.keep(record, piece)
-        self._rests.keep(step, record, piece.name)
+    # ---- Devices, motor and progress
 
-    # ---- Motor and progress
+    def _sound(self, devices: Iterable[Mounted], do: Callable[[Mounted], Done]) -> dict[Mounted, Done]:
+        """Call a function for each device. A device that fails misses this step. If all devices fail, raise the error."""
+        done = dict[Mounted, Done]()
+        for device in devices:
+            try:
+                done[device] = do(device)
+            except RigError as error:
+                self._miss(device, error)
+        return done
+
+    def _miss(self, device: Mounted, error: RigError) -> None:
+        device.missed[self._number] = error
+        if all(self._number in due.missed for due in self._due):
+            raise error
+        log.warning("%s: %s The other devices continue.", device.folder.path, error)
 
     def _enable(self) -> None:
         if not self._enabled:
             self._say("enabling")
             self._rig.enable(True)
             self._enabled = True
-            self._rig.set_acceleration(self._programme.acceleration)
+            self._acceleration = self._rig.set_acceleration(self._programme.acceleration)
             self._old_fault = self._rig.fault()  # a card reports its last stop until the next move
-            self._readings.start()  # readings that are still in a buffer arrive while the table is at rest
+            # readings that are still in a buffer arrive while the table is at rest
+            self._due = tuple(self._sound(self._due, lambda device: device.readings.start()))
 
     def _disable(self) -> None:
         """Switch the motor off during mounting and long waits."""
@@ -349,7 +447,7 @@ class _Run:
             self._enabled = False
             self._rig.enable(False)
 
-    def _say(self, phase: str, live: str = "") -> None:
+    def _say(self, phase: Phase, live: str = "") -> None:
         left_s = self._left_s - min(self._clock.now() - self._began, self._step.duration_s)
         steps = len(self._programme.steps)
         self._report(

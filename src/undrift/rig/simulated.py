@@ -14,6 +14,7 @@ load of the host. The air is solved with the trapezoidal rule, and the board exa
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -21,7 +22,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
 from undrift.base.clock import Clock, PacedClock
-from undrift.errors import InputError, RigFault, RigTimeout, check_positive
+from undrift.errors import InputError, LinkError, RigFault, RigTimeout, check_positive
 from undrift.record import FACES, Face, Record
 from undrift.rig.chamber import Chamber, ChamberSetup
 from undrift.rig.rig import (
@@ -34,7 +35,7 @@ from undrift.rig.rig import (
     ServoReport,
     steady_angle,
 )
-from undrift.sim.device.causal import Seen, SimulatedDevice
+from undrift.sim.device.causal import Seen, SimulatedDevice, Surroundings
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device
 from undrift.sim.kernels import ServoSettings
@@ -112,7 +113,7 @@ SETTLED_S = 0.1  # settling time at the end of a move, s
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SimulatedSettings:
-    """Settings of the simulated bench, without its device."""
+    """Settings of the simulated bench, without its devices."""
 
     servo: ServoSettings = field(default_factory=ServoSettings)  # servo of the table
     air: AirSettings = field(default_factory=AirSettings)  # air of the chamber
@@ -124,25 +125,33 @@ class SimulatedSettings:
 
 
 class SimulatedBench:
-    """A bench that also mounts its device. ``table`` is a Rig, ``chamber`` a Chamber, and ``readings`` are of its device."""
+    """A bench that also mounts its devices. ``table`` is a Rig, ``chamber`` a Chamber, and ``readings`` are of its devices.
+
+    ``faults`` contains the active faults:
+
+    - ``stall``: The amplifier fails. The controller switches the motor off, and the table coasts to rest.
+    - ``lost_readings``: Two of every three readings of the device are lost.
+    - ``wrong_face``: The operator mounts the opposite face, once.
+    - ``power_cut``: Nothing answers, and the table coasts to rest.
+    """
 
     def __init__(
-        self,
-        device: DeviceModel | None = None,
-        settings: SimulatedSettings = SimulatedSettings(),
-        clock: Clock | None = None,
-    ) -> None:
+        self, devices: Sequence[DeviceModel] = (), settings: SimulatedSettings = SimulatedSettings(), clock: Clock | None = None
+    ) -> None:  # fmt: skip
         self.settings, self.clock = settings, clock or PacedClock()
-        model = device or random_device(np.random.default_rng(settings.seed), grade="consumer")
+        self.faults = set[str]()
+        chosen = devices or [random_device(np.random.default_rng(settings.seed), grade="consumer")]
         self._zero = self.clock.now()
         self.servo, self.air = Servo(settings.servo), Air(settings.air)
         self._hands = np.random.default_rng((settings.seed, 1))
         self._log = np.array([-1.0, 0.0]), np.zeros(2)  # recent times and angles of the axis, s and rad
-        self._last = np.zeros((1, 3))  # rate at the last reading
+        self._last = [np.zeros((1, 3)) for _ in chosen]  # rate at the last reading
         self.face: Face = "+z"
         self._up = unit_vector("+z")
-        self.device = SimulatedDevice(model, self._surroundings, settings.seed, 0.0)
-        self.readings = SimulatedReadings(self, self.device)
+        self.devices = tuple(
+            SimulatedDevice(model, self._surroundings(k), settings.seed + k, 0.0) for k, model in enumerate(chosen)
+        )
+        self.readings = tuple(SimulatedReadings(self, device) for device in self.devices)
         self.table = SimulatedTable(self, settings.limits)
         self.chamber = SimulatedChamber(self, replace(settings.chamber, clock=self.clock))
 
@@ -153,12 +162,14 @@ class SimulatedBench:
     def advance(self) -> float:
         """Advance the bench to the current time, and return that time, s."""
         now = self.now()
+        self.servo.powered &= not {"power_cut", "stall"} & self.faults
         times, angles = self.servo.advance(now)
         first = max(int(np.searchsorted(self._log[0], now - 1.0)) - 1, 0)  # a reading requires the previous step
         before = self._log
         self._log = np.concatenate((before[0], times)), np.concatenate((before[1], angles))
         self.air.advance(now)
-        self.readings.take(now)
+        for readings in self.readings:
+            readings.take(now)
         self._log = self._log[0][first:], self._log[1][first:]
         return now
 
@@ -172,25 +183,30 @@ class SimulatedBench:
         return float((self._log[1][-1] - self._log[1][-2]) / (self._log[0][-1] - self._log[0][-2]))
 
     def mount(self, up: Face) -> None:
-        """Mount the device with another face up, as an operator would."""
+        """Mount the devices with another face up, as an operator would."""
         if up not in FACES:
             raise InputError(
                 f"mount: the face must be one of {', '.join(FACES)}, got '{up}'. Set the axis that points up."
             )
         self.advance()
         self.face = up
+        if "wrong_face" in self.faults:
+            self.faults.discard("wrong_face")
+            self.face = FACES[FACES.index(up) ^ 1]
         unit, tilt = unit_vector(self.face), self._hands.normal(0.0, 1.0, 3) * self.settings.mount_tilt_sd
         tilted = unit + np.cross(tilt, unit)
         self._up = tilted / np.linalg.norm(tilted)
 
-    def _surroundings(self, times: FloatArray, step_s: float) -> Seen:
-        """Return rate, angular acceleration, force, mean rate over the step (n, 3) and temperature (n,)."""
-        angle = np.interp(times, *self._log) - np.interp(times - step_s, *self._log)
-        rate = angle[:, None] / step_s * self._up
-        before = np.vstack((self._last, rate[:-1]))
-        self._last = rate[-1:]
-        force = np.broadcast_to(self.settings.gravity_m_s2 * self._up, (len(times), 3))
-        return rate, (rate - before) / step_s, force, rate, self.air.at(times)[1]
+    def _surroundings(self, number: int) -> Surroundings:
+        def surroundings(times: FloatArray, step_s: float) -> Seen:
+            angle = np.interp(times, *self._log) - np.interp(times - step_s, *self._log)
+            rate = angle[:, None] / step_s * self._up
+            before = np.vstack((self._last[number], rate[:-1]))
+            self._last[number] = rate[-1:]
+            force = np.broadcast_to(self.settings.gravity_m_s2 * self._up, (len(times), 3))
+            return rate, (rate - before) / step_s, force, rate, self.air.at(times)[1]
+
+        return surroundings
 
 
 class SimulatedTable:
@@ -200,6 +216,7 @@ class SimulatedTable:
         self.limits, self._bench = limits, bench
         self._scale = CountScale.from_lines(bench.settings.servo.encoder_lines)
         self._acceleration = 256_000.0  # counts/s2
+        self._fault: str | None = None
 
     def identify(self) -> str:
         """Return a description of the simulated table."""
@@ -231,6 +248,7 @@ class SimulatedTable:
         speed = SLEW.round(self._scale.counts(turn_rate))
         angle = self._scale.angle(steady_angle(speed, seconds, self._acceleration))
         self.limits.check_travel(self._bench.angle() + angle)
+        self._fault = None
         self._bench.servo.turn(speed, seconds, self._acceleration)
         return self._scale.angle(speed)
 
@@ -254,20 +272,27 @@ class SimulatedTable:
         return self._scale.angle(self._bench.servo.error)
 
     def fault(self) -> str | None:
-        """Return None, because the table has no faults."""
+        """Return a description of the fault, or None."""
         self._answer()
-        return None
+        return self._fault
 
     def close(self) -> None:
         """Stop and switch the motor off. A second call has no effect."""
-        self.stop()
-        self._bench.servo.switch(False)
+        if "power_cut" not in self._bench.faults:
+            self.stop()
+            self._bench.servo.switch(False)
 
     def _answer(self, *, moving: bool = False) -> None:
-        """Advance the bench. Raise RigFault if the table must move with its motor off."""
-        self._bench.advance()
-        if moving and not self._bench.servo.powered:
-            raise RigFault("rig: cannot turn, got its motor off. Switch the motor on.")
+        """Advance the bench. Raise an error without power or, if the table must move, with the motor off."""
+        bench = self._bench
+        powered = bench.servo.powered
+        bench.advance()
+        if "power_cut" in bench.faults:
+            raise LinkError("rig: no answer. Check power and cable.")
+        if powered and not bench.servo.powered:
+            self._fault = "its motor off: following error beyond its limit"
+        if moving and not bench.servo.powered:
+            raise RigFault(f"rig: cannot turn, got {self._fault or 'its motor off'}. Switch the motor on.")
 
 
 class SimulatedChamber(Chamber):
@@ -298,20 +323,30 @@ class SimulatedReadings:
         self._bench, self._device = bench, device
         self._kept: list[tuple[IntArray, FloatArray]] | None = None  # counts and rows of this dwell
         self._newest = np.full(7, np.nan)
+        self._ended = False
 
     def take(self, now: float) -> None:
         """Read the device up to the current time."""
         counts, rows = self._device.read(now)
         if not counts.size:
             return
+        if "lost_readings" in self._bench.faults:
+            rows[counts % 3 > 0] = np.nan
+        if "power_cut" in self._bench.faults:
+            rows[:] = np.nan
         self._newest = rows[-1]
-        if self._kept is not None:
+        if self._kept is not None and not self._ended:
             self._kept.append((counts, rows))
 
     def start(self, *, certain: bool = True) -> None:
         """Start to store readings."""
         self._bench.advance()
-        self._kept = []
+        self._kept, self._ended = [], False
+
+    def end(self) -> None:
+        """End the dwell now."""
+        self._bench.advance()
+        self._ended = True
 
     def stop(self) -> Record:
         """Return the readings since ``start``."""

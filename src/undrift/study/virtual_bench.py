@@ -103,7 +103,7 @@ def bench_device() -> DeviceModel:
 
 def record_on_bench(plan: BenchPlan, device: DeviceModel, folder: Path, *, tell: Tell) -> BenchRun:
     """Simulate a bench with a device on it and record both protocols."""
-    bench = SimulatedBench(device, SimulatedSettings(air=AIR, chamber=ChamberSetup(soak=SOAK)))
+    bench = SimulatedBench((device,), SimulatedSettings(air=AIR, chamber=ChamberSetup(soak=SOAK)))
     with stopping_on_signals():
         first = _record(plan, 0, bench, folder, tell)
         second = _record(plan, 1, bench, folder, tell)
@@ -121,9 +121,9 @@ def _record(plan: BenchPlan, which: int, bench: SimulatedBench, path: Path, tell
     with RunFolder(path / protocol.name, protocol) as folder:
         chamber = bench.chamber if protocol.temperatures_c else None
         connected = RigBench(
-            rig=bench.table, readings=bench.readings, mounting=bench, chamber=chamber, clock=bench.clock
+            rig=bench.table, readings=bench.readings[0], mounting=bench, chamber=chamber, clock=bench.clock
         )
-        serial = bench.device.model.serial
+        serial = bench.devices[0].model.serial
         return run_programme(programme, connected, folder, report=report, serial=serial, gravity_m_s2=STANDARD_GRAVITY)
 
 

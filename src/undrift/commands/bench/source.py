@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 PERIOD_S = 1.0 / 15.0  # between two looks at the recorder, host s
 KEEP_S = 120.0  # device s
+GATHER_S = 0.04  # host s for which readings are left to gather
 SILENCE_S, RETRY_S = 2.0, 1.0
 STALE_S = 1.0  # host time without readings after which the device counts as silent, s
 RATE_OVER_S = 5.0  # host s over which the sample rate is counted
@@ -159,7 +160,7 @@ class LiveDevice:
             return path if path.exists() else None
 
     def _fresh(self) -> Recorder:
-        settings = RecorderSettings(silence_s=self._silence_s, keep_s=KEEP_S)
+        settings = RecorderSettings(silence_s=self._silence_s, keep_s=KEEP_S, gather_s=GATHER_S)
         return Recorder(source_at(self.address), settings)
 
     def _tally(self) -> FloatArray:
