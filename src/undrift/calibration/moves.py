@@ -328,7 +328,8 @@ def _descend(problem: _Problem, matrix: FloatArray, turns: FloatArray | None = N
         try:
             fit = solve(rows.design, value, sources, excess=excess, prior=Prior(mean=mean, precision=tight))
         except np.linalg.LinAlgError:
-            _check_determined(rows.design[rests:, :9], theta[:9].reshape(3, 3))
+            if np.isfinite(rows.design).all():  # otherwise the descent ran away
+                _check_determined(rows.design[rests:, :9], theta[:9].reshape(3, 3))
             break
         change = np.abs(fit.theta - theta)[:9].max()
         if change < CONVERGED * problem.size:
