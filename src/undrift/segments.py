@@ -178,7 +178,7 @@ def _find(
     gyro, accel = triads[0], triads[-1]
     accel_rests = accel.channel == "accel" and accel.floor < accel.limit(BENCH_RATE_LIMIT, BENCH_ACCEL_LIMIT)
     if accel_rests and gyro.unit == "rad/s" and gyro.floor > BENCH_RATE_LIMIT:
-        why += ". In these windows the accelerometer is at rest, so the gyroscope may be in deg/s, not rad/s"
+        why += ". In these windows the accelerometer is at rest: check whether the gyroscope is in deg/s, not rad/s"
     why = f"no still phase: the quietest {settings.window_s:g} s windows vary by {floors} rms, and {why}"
     return StillSearch(stills=(), reason=why)
 

@@ -116,7 +116,7 @@ SCALE_AS_STATED = (
 TURN_SIGN = (r"sign of the turns?|turns?[^;]*(?:opposite|reversed|wrong sign)|reversed[^;]*turns",)
 UPSIDE_DOWN = (
     r"--(?:forward|up)\b[^;]*--(?:forward|up)\b|upside down|pitch[^;]*(?:--up|--forward|wraps|beyond 100)",
-    r"take [+-][xyz] as up",
+    r"use [+-][xyz] for `up`",
 )
 REFERENCE_UP = (
     r"points up is [+-]?[yz], not",
