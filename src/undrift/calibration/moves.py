@@ -220,11 +220,14 @@ class _Problem:
                 moves=len(moves.first),
             )
         reading, self.noise, count = still_moments(moves.gyro, moves.start, moves.stop)
+        step = code_steps(records, rate=True)  # (3,), of the codes, NaN for none
         distance = np.abs(reading - np.median(reading, axis=0))
-        rests = np.flatnonzero(np.all(distance <= TURNING * np.maximum(np.median(distance, axis=0), 1e-12), axis=1))
+        # coarse codes may be equal in most rests, and a step off in the others
+        limit = np.maximum(TURNING * np.median(distance, axis=0), np.nan_to_num(step) + 1e-12)
+        rests = np.flatnonzero(np.all(distance <= limit, axis=1))
         self.reading = reading[rests]  # (R, 3), means of the rests, and their variance
         self.variance = np.maximum(self.noise / count[rests, None], (LEAST_RATE * GYRO_FLICKER / self.size) ** 2)
-        self.codes = code_variance(code_steps(records, rate=True), self.noise)  # (3,), rounding of a mean at rest
+        self.codes = code_variance(step, self.noise)  # (3,), rounding of a mean at rest
         self.force = np.nan_to_num((moves.accel - accel.offset) @ accel.matrix.T)  # (N, 3), of each sample, m/s2
         first, last = np.append(moves.start[rests], moves.first + 1), np.append(moves.stop[rests], moves.last + 1)
         self.felt = still_moments(self.force, first, last)[0]  # (R + J, 3), mean force in each rest and move

@@ -59,6 +59,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
             _ignore_signals()
         _ignore_signals()  # one more would spoil the message or the exit code
         code = _refuse(argv, error, STOPPED, code=INTERRUPTED)
+    try:
+        sys.stdout.flush()
+    except OSError:  # told already: Python would end with code 120 over what is still in its buffer
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     sys.exit(code)
 
 
@@ -102,6 +106,7 @@ def _dispatch(arguments: Sequence[str]) -> int:
         _check_names(arguments)
         CALLED.set(tuple(arguments))
         code = app(list(arguments))
+        sys.stdout.flush()  # a full disk is told here, not when Python ends
     except UndriftError as error:
         return _refuse(arguments, error, str(error), code=3 if isinstance(error, RigError) else 2)
     except BrokenPipeError:  # the reader of stdout, such as head, has seen enough
