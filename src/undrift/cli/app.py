@@ -60,7 +60,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _ignore_signals()  # one more would spoil the message or the exit code
         code = _refuse(argv, error, STOPPED, code=INTERRUPTED)
     try:
-        sys.stdout.flush()
+        if not sys.stdout.closed:
+            sys.stdout.flush()
     except OSError:  # told already: Python would end with code 120 over what is still in its buffer
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     sys.exit(code)
