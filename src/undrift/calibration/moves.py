@@ -223,7 +223,7 @@ class _Problem:
         step = code_steps(records, rate=True)  # (3,), of the codes, NaN for none
         distance = np.abs(reading - np.median(reading, axis=0))
         # coarse codes may be equal in most rests, and a step off in the others
-        limit = np.maximum(TURNING * np.median(distance, axis=0), np.nan_to_num(step) + 1e-12)
+        limit = np.maximum(TURNING * np.maximum(np.median(distance, axis=0), 1e-12), np.nan_to_num(step))
         rests = np.flatnonzero(np.all(distance <= limit, axis=1))
         self.reading = reading[rests]  # (R, 3), means of the rests, and their variance
         self.variance = np.maximum(self.noise / count[rests, None], (LEAST_RATE * GYRO_FLICKER / self.size) ** 2)
