@@ -9,7 +9,7 @@ from testkit.data import data_path, show
 from testkit.faces import faces_at
 from undrift.errors import InputError
 from undrift.record import Record, Still
-from undrift.segments import StillSettings, find_still, find_turns, sliding_moments, still_means, unpadded
+from undrift.segments import StillSettings, find_still, find_turns, sliding_moments, unpadded
 
 FS = 100.0
 
@@ -163,12 +163,6 @@ def test_faces_are_named_after_the_axis_that_points_up_and_free_poses_are_not():
     assert faces_at(counts, stills) == ["+x", "-x", "+y", "-y", "+z", "-z", None]
     with pytest.raises(InputError, match=r"expected five poses or more .* got 2"):
         faces_at(counts, stills[:2])
-
-
-def test_a_phase_that_is_all_gap_has_no_mean():
-    values = np.full((10, 3), np.nan)
-    with pytest.raises(InputError, match=r"still \[0, 10\): all readings are gaps"):
-        still_means(values, (Still(start=0, stop=10),))
 
 
 @pytest.mark.parametrize("unit", [0, 1, 2])

@@ -234,7 +234,7 @@ class OrientSettings:
     method: Literal["strapdown", "vqf"] = "strapdown"  # vqf is a filter with accelerometers over the whole record
     # the filter also uses the magnetic field, and the axes of n are magnetic east, magnetic north and up
     magnetometer: bool = False
-    # device axes that point forward and up on the upright segment: they define the pitch
+    # axes of the device that point forward and up on an upright segment, and define the pitch
     forward: Face = "+x"
     up: Face = "+z"
     # mounting of the device on the body: orientation, angles and the axes above then refer to the segment

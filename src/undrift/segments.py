@@ -392,16 +392,6 @@ def find_turning(
 _FACE_DEG = 15.0  # a face is this near to the vertical
 
 
-def still_means(values: FloatArray, stills: Sequence[Still]) -> FloatArray:
-    """Return the mean reading (P, 3) of each still phase without gaps."""
-    for still in stills:
-        if np.isnan(values[still.start : still.stop]).all(axis=0).any():
-            raise InputError(
-                f"still [{still.start}, {still.stop}): all readings are gaps (NaN). Choose another stretch."
-            )
-    return np.array([np.nanmean(values[s.start : s.stop], axis=0) for s in stills]).reshape(-1, 3)
-
-
 def faces_of(means: FloatArray, *, centred: bool) -> tuple[Face | None, ...]:
     """Name the axis that points up for each mean reading (P, 3), or None if no axis is near the vertical."""
     if not centred and len(means) < 5:

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from testkit.data import data_path, show
+from testkit.faces import still_means
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.session import observe
 from undrift.calibration.settings import CalibrateSettings
 from undrift.errors import InputError
 from undrift.record import Record, Session
-from undrift.segments import still_means
 from undrift.units import STANDARD_GRAVITY
 
 NAMES = (

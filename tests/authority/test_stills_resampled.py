@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from testkit.data import data_path, show
+from testkit.faces import still_means
 from undrift.record import Record
-from undrift.segments import find_poses, sphere_of, still_means
+from undrift.segments import find_poses, sphere_of
 
 BICYCLE = (
     "phi_000_theta_000", "phi_000_theta_090", "phi_000_theta_180", "phi_000_theta_270", "phi_090_theta_000",

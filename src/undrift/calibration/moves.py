@@ -247,7 +247,7 @@ class _Problem:
 
 
 class _Rows(NamedTuple):
-    """Rows (E,) of the fit about some parameters."""
+    """Rows (E,) of the fit, linear about given parameters."""
 
     misfit: FloatArray  # (E,)
     design: FloatArray  # (E, 21)
@@ -419,7 +419,7 @@ def _sources(problem: _Problem, rows: _Rows, theta: FloatArray) -> dict[str, Flo
 
 
 def _scale_slopes(problem: _Problem, rows: _Rows, theta: FloatArray) -> FloatArray:
-    """Return the effect (E, 3) of one standard deviation of the slope of each sensor's scale over temperature."""
+    """Return the change of the rows (E, 3) if a sensor's scale slopes over temperature by one standard deviation."""
     if problem.creep is None:
         return np.zeros((len(rows.misfit), 3))
     count = len(problem.reading)

@@ -181,7 +181,7 @@ def _budget(
     prior: Prior,
     sd: float,
 ) -> tuple[dict[str, FloatArray], float]:
-    """Return the covariance (9, 9) of p by source, and the size of the quadratic terms, in ``sd``, their standard deviation."""
+    """Return the covariance (9, 9) of p by source, and the size of the quadratic terms in units of ``sd``, their usual size."""
     gain = np.linalg.norm(np.linalg.inv(_upper(p)), axis=1)  # per sensor: v - o' = gain y
     lengths = -sd * design[:, 6:] * (v - p[6:]) ** 2 / gain  # (K, 3): N s_q
     bent = {"nonlinearity": lengths @ lengths.T}

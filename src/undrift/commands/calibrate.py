@@ -273,7 +273,7 @@ def _check_idle(options: Mapping[str, object]) -> None:
 
 
 def _motion_figures(calibrated: Calibrated, fit: "InMotion") -> list[dict[str, Any]]:
-    """Return the offset of each recording with its uncertainty, and the acceleration that remains."""
+    """Return the offset of each recording with its uncertainty, and the remaining acceleration."""
     names = [name for name, _ in calibrated.session.inputs if not name.endswith(".toml")]
     labels = names if len(names) == len(fit.offsets) else [f"recording {k + 1}" for k in range(len(fit.offsets))]
     offsets, uncertainty = fit.offsets / RADIAN_PER_DEGREE, fit.offset_uncertainty / RADIAN_PER_DEGREE

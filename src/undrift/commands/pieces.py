@@ -1,4 +1,4 @@
-"""Stills, faces and turns of a session, and why a calibration did not use one."""
+"""Stills, faces and turns of a session for its drawing, with the reason if a calibration did not use one."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

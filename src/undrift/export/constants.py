@@ -30,7 +30,7 @@ UNIT_OUT = {"gyro": "rad/s", "accel": "m/s2"}
 class ConstantPair:
     """Both triads at one temperature."""
 
-    gyro: Constants | None  # SI = matrix (reading - offset) - g_sensitivity a (None if there is no model)
+    gyro: Constants | None  # SI = matrix (reading - offset) - g_sensitivity a (None without a model)
     accel: Constants | None
     temp_c: float  # temperature of the constants, degC, or NaN without tables and reference temperature
     read_tables: bool  # True if tables over temperature were read at temp_c

@@ -59,5 +59,5 @@ REST_DRIFT = 0.05 * RADIAN_PER_DEGREE
 # drift of the gyroscopes' offset, deg/s: 0.1 in a minute causes an error of 3 deg after that minute, and no warm-up reaches 2.
 DRIFT_DPS = (0.1, 2.0)
 
-# standard uncertainty of the scale, per cent: 0.5 is 2 deg in a full turn, and 5 is no better than data sheets.
+# standard uncertainty of the scale, per cent: 0.5 is 2 deg in a full turn, and 5 is as poor as data sheets.
 UNCERTAIN_PERCENT = (0.5, 5.0)

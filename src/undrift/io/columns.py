@@ -45,17 +45,17 @@ class RawTable:
     """Columns of a file."""
 
     source: str  # file, for error messages
-    names: tuple[str, ...]  # Column names as in the file; positions as text where there is no header
-    # One numpy array or Arrow column for each name, all of the same length; text where the cells are no numbers
+    names: tuple[str, ...]  # column names as in the file, or positions as text without a header
+    # one numpy array or Arrow column for each name, all of the same length (text if the cells are not numbers)
     columns: tuple[Any, ...]
-    # (N,), number of each row in the file, from 0, where rows were left out; None where none was
+    # (N,), number of each row in the file, from 0, or None if no row was omitted
     rows: IntArray | None = None
     dropped: int = 0  # Rows left out
     own: ColumnMap | None = None  # map of the columns, if the file states it
     marks: Mapping[str, Any] = field(
         default_factory=dict
     )  # state and uncertainties that the file states, keys of Record
-    notes: tuple[str, ...] = ()  # how it was read: units of a manual, lines skipped, what was left out
+    notes: tuple[str, ...] = ()  # notes on the reading: units from a manual, skipped lines, omitted rows
     epoch_s: float = 0.0  # Unix time that was taken off the clock, s
     # time (M,), s on the recording's clock, and temperature (M,), degC, of a thermometer of its own
     thermometer: tuple[FloatArray, FloatArray] | None = None
@@ -104,7 +104,7 @@ def in_seconds(table: RawTable, column: Column) -> RawTable:
     """
     at = table.position(column)
     values = table.columns[at]
-    if not isinstance(values, np.ndarray):  # bytes that are no UTF-8 are named below
+    if not isinstance(values, np.ndarray):  # invalid UTF-8 is named below
         values = (values.cast("binary") if str(values.type) == "string" else values).to_numpy()
     if values.dtype.kind != "M":
         hits = [_DATE.fullmatch(str(_text(cell)).strip()) for cell in values]
@@ -190,8 +190,8 @@ class ReadResult:
     record: Record
     dropped_rows: int = 0  # Rows that did not parse
     repaired_rows: int = 0  # Rows whose time did not go forward
-    notes: tuple[str, ...] = ()  # How it was read: units of a manual, lines skipped, what was left out
-    clock: ClockFit | None = None  # Where a regular clock was fitted
+    notes: tuple[str, ...] = ()  # notes on the reading: units from a manual, skipped lines, omitted rows
+    clock: ClockFit | None = None  # note on the fit of a regular clock
     epoch_s: float = 0.0  # Unix time that was taken off the clock, s
 
 

@@ -48,7 +48,7 @@ class MapCounter(MapTable):
 
     column: str  # Pattern of its name
     bits: int  # The count starts again at 0 after so many
-    step_s: float | None = None  # Time between two counts; 1 / sample rate without it
+    step_s: float | None = None  # time between two counts, or 1 / sample rate
     absolute: bool = False  # Several files share the clock: time starts at its first count, not at 0
     note: str = ""
 
@@ -56,7 +56,7 @@ class MapCounter(MapTable):
 class MapThermometer(MapTable):
     """The temperature, degC, in a file of its own."""
 
-    file: str  # Its name; "*" is what the name of the recording has in its place
+    file: str  # name of the file, with "*" for the part that differs between recordings
     time: str  # Column of time, of the same name in the recording
     temp: str  # Column of temperature
 
@@ -64,15 +64,15 @@ class MapThermometer(MapTable):
 class Dialect(MapTable):
     """The text table format of a maker's software."""
 
-    maker: str  # Whose manual states the units
+    maker: str  # device whose manual states the units
     head: Pattern  # In the first 8 KiB of a file
     folder: str = ""  # File to read of a folder: its name, or "*" and its ending
     units: dict[str, str] = {}  # From the manual, for channels whose columns state none
-    device: str = ""  # Pattern in the lines before the header; the group is the serial number
-    device_in_name: Pattern | None = None  # The same in the name of the file
-    rate: str = ""  # Pattern in the lines before the header; the group is the sample rate, Hz
+    device: str = ""  # pattern in the lines before the header, with the serial number as its group
+    device_in_name: Pattern | None = None  # the same for the name of the file
+    rate: str = ""  # pattern in the lines before the header, with the sample rate as its group, Hz
     channel_line: Pattern | None = None  # Line before the header that states name, sensor, signal, rate, unit and time
-    packets: MapCounter | None = None  # MapCounter of the packets: what it skips was lost
+    packets: MapCounter | None = None  # counter of the packets: a skipped number is a lost packet
     stamps: MapCounter | None = None  # Clock of the device
     omit: Pattern | None = None  # Columns that are not readings of a sensor
     sensor: tuple[str, str] | None = None  # Pattern in the name of a sensor, and its replacement
@@ -179,7 +179,7 @@ class Dialect(MapTable):
         time = slow.numbers(self.thermometer.time)
         if label is not None and label.unit:
             time = time * si_factor(label.unit, "time")
-        else:  # packets are numbered: their times are those of the samples
+        else:  # packets are numbered, and their times are the times of the samples
             rate_hz = (table.own and table.own.sample_rate_hz) or np.nan
             time = np.interp(time, sheet.array((clock,))[:, 0], np.arange(len(table)) / rate_hz)
         return replace(table, thermometer=(time, slow.numbers(self.thermometer.temp)))

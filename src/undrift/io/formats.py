@@ -61,13 +61,13 @@ Reader = Callable[[Path, ColumnMap], RawTable | Record]
 class Format:
     """One kind of file or folder."""
 
-    recognise: Callable[[Path, bytes], bool]  # By path and first 8 KiB, unpacked; b"" for a folder
+    recognise: Callable[[Path, bytes], bool]  # from the path and the first 8 KiB, unpacked (b"" for a folder)
     record: Reader | None = None
     markers: Callable[[Path, Up | None], Markers] | None = None
     reference: Callable[[Path, ReferenceMap | None], Reference] | None = None
     bodies: Callable[[Path, str | None, Up | None], Reference] | None = None  # One of several named bodies
     by_map: bool = False  # The record reader takes the columns of a map
-    instead: str = ""  # What a file without a record reader is, and what to do with it
+    instead: str = ""  # description of a file without a record reader, and advice
     generic: bool = False  # Tried after all others
 
 
@@ -134,7 +134,7 @@ def _is_prose(path: Path, head: bytes) -> bool:
     lines = [line for line in head.decode("utf-8", "replace").splitlines()[:64] if line.strip()]
     if _suffix(path) in _PROSE or not lines:
         return True
-    body = lines[1:-1][len(lines) // 2 - 1 :] or lines  # lines of text may stand before the rows
+    body = lines[1:-1][len(lines) // 2 - 1 :] or lines  # lines of text may precede the rows
     for delimiter in (",", "\t", ";"):
         counts = [line.count(delimiter) for line in body]
         if min(counts) > 0 and counts.count(max(set(counts), key=counts.count)) > 0.8 * len(counts):

@@ -30,8 +30,8 @@ _PLACE = re.compile(r"^(COG|.*[._](ankle|knee|hip))[._ ][xyz]$", re.IGNORECASE)
 _QUATERNION = re.compile(
     r"(?i)^(?P<stem>.*?)(?P<part>[wxyz]|[0-3])\]?( element)?$"
 )  # w, qw, q0, seg2_quat_w, QUATERNION_0
-_TURNS = re.compile(r"(?i)^$|quat|^q[_.\[]*$|[_. ]q[_.\[]*$|orient|rotat")  # what stands before w, x, y, z
-_UNITS = {  # what a name may state of its unit; "?" where it states none, which a reader refuses
+_TURNS = re.compile(r"(?i)^$|quat|^q[_.\[]*$|[_. ]q[_.\[]*$|orient|rotat")  # text before w, x, y, z
+_UNITS = {  # units that a name may state, or "?" for none, which a reader refuses
     "time": (
         ("us", r"\(?\bus\b|_us\b|micros"),
         ("ms", r"\bms\b|_ms\b|millis"),
@@ -114,7 +114,7 @@ def quaternion_of_names(names: tuple[str, ...]) -> tuple[str, ...] | None:
     """
     parts: dict[str, dict[str, str]] = {}
     for name in names:
-        match = None if name.strip().isdecimal() else _QUATERNION.match(name.strip())  # positions are no names
+        match = None if name.strip().isdecimal() else _QUATERNION.match(name.strip())  # positions are not names
         if match and _TURNS.search(match["stem"]):
             parts.setdefault(match["stem"], {})[match["part"].lower()] = name
     fours = (

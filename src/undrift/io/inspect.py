@@ -192,8 +192,8 @@ def _ends_range(column: FloatArray, limit: float, stuck: IntArray) -> bool:
 
 # ---- describe
 
-_MISSING = ("sensor", "sample_rate_hz", "columns", "readings")  # what an intact file may leave unstated
-_TABLES = ("mat", "parquet", "csv", "log")  # what a map makes a recording of
+_MISSING = ("sensor", "sample_rate_hz", "columns", "readings")  # facts that an intact file may omit
+_TABLES = ("mat", "parquet", "csv", "log")  # kinds of file from which a map makes a recording
 _REGULAR = 0.005  # mean and usual rate that differ by less are one figure
 
 
@@ -205,9 +205,9 @@ class Description:
     # recording, reference, markers, session, calibration, device, table (needs a map), settings, text or binary
     kind: str
     format: str  # A name of io.formats.FORMATS, or of another package's
-    summary: str  # One line: what it is, or what it needs to be read
+    summary: str  # one line: the kind of file, or the map that it needs
     rows: int | None = None  # Samples or frames
-    sample_rate_hz: float | None = None  # Samples over time: what is lost or uneven counts
+    sample_rate_hz: float | None = None  # samples over time, with lost and uneven samples
     usual_rate_hz: float | None = None  # By the usual step, drop-outs left out
     duration_s: float | None = None
     columns: tuple[str, ...] = ()  # Channels, markers, or column names
@@ -216,7 +216,7 @@ class Description:
     temp_c: tuple[float, float] | None = None  # Lowest and highest
     findings: tuple[Finding, ...] = ()
     proposal: MapProposal | None = None  # map that a table of foreign names may need
-    # What was read: a session, or a recording as a session of one
+    # result of reading: a session, or a recording as a session of one
     session: Session | None = field(default=None, repr=False)
 
     @property

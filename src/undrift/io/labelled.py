@@ -26,7 +26,7 @@ from undrift.io.text import Text, packed, parse_text
 from undrift.units import DEVICE_UNITS, canonical_unit, si_factor
 
 _HEAD = 1 << 16
-_TIME = "(time, s)"  # the column that holds the time in s once it is made
+_TIME = "(time, s)"  # name of the column of time in s
 _NUMERIC = 0.6  # of the filled cells of a row of readings
 
 
@@ -36,9 +36,9 @@ class Label(NamedTuple):
     sensor: str  # "" where the file names one sensor only
     channel: str  # time, gyro, accel, mag, temp, or "free": acceleration without gravity
     axis: str = ""  # x, y, z
-    unit: str = ""  # Canonical; "" where none is stated or known
+    unit: str = ""  # canonical unit, or "" if it is not stated or not known
     gain: float = 1.0  # To that unit
-    rate_hz: float | None = None  # Of its own, where channels of several rates stand side by side
+    rate_hz: float | None = None  # time of this channel, if channels of several rates are side by side
     time: int | None = None  # Its own time column
 
 
@@ -57,7 +57,7 @@ class Sheet:
     rate_hz: float | None = None  # Hz, as the file states it
     device: str = ""
     notes: tuple[str, ...] = ()
-    # Time in s and notes from the columns ``counters``, where there is no column of time
+    # time in s and notes from the columns ``counters``, without a column of time
     clock: Callable[..., tuple[FloatArray, tuple[str, ...]]] | None = None
     counters: tuple[int, ...] = ()
     repair_time: bool = False  # Stamps may repeat: such rows are left out and counted
@@ -234,7 +234,7 @@ _AXIS = (
     re.compile(r"(?<=[a-z])([XYZ])(?![A-Za-z])"),
     re.compile(r"(?i)^(?:a|w|g|gF|b|m|acc|accel|gyr|gyro|mag)_?([xyz])$"),
 )
-_WORDS = re.compile(  # of a name that do not tell sensors apart
+_WORDS = re.compile(  # words of a name that do not distinguish sensors
     r"(?i)^(acc\w*|gyr\w*|mag\w*|sensor|angular|velocity|rate|magnetic|field|un|cal|raw|noraxon|myomotion|segments|[agwm]|gf|"
     r"temp\w*|turn|rotation|specific|force|total|uncalibrated|imu)$"
 )
@@ -296,7 +296,7 @@ def label_of(name: str, unit: str = "", assumed: Mapping[str, str] | None = None
     kind = dict(_KIND)[channel]
     tokens = [token for token in tokens if token and not _WORDS.match(token) and not kind.search(token)]
     if scaled_unit and scaled_unit[0] in DEVICE_UNITS and channel in ("mag", "temp"):
-        scaled_unit = None  # they need a scale, which only a map states
+        scaled_unit = None  # they need a scale from a map
     return Label(
         " ".join(tokens), channel, axis if channel not in ("time", "temp") else "", *(scaled_unit or ("", 1.0))
     )
@@ -449,7 +449,7 @@ def _chosen(sheet: Sheet, triples: Triples, sensor: str | None) -> dict[str, tup
     several = any(len(held) > 1 for channel, held in triples.items() if channel != "mag")
     same = [name for name in names if sensor is not None and name.lower() == sensor.lower()]
     partial_matches = [name for name in names if sensor is not None and sensor.lower() in name.lower()]
-    # of that name, or the only one whose name holds it
+    # column of this name, or the only one whose name contains it
     wanted = same[0] if same else partial_matches[0] if len(partial_matches) == 1 else None
     if wanted is None and names and (several or sensor is not None):
         got = "none" if sensor is None else repr(sensor)

@@ -187,7 +187,7 @@ def _ulog(path: Path, sensor: str | None, drop: bool, **_: Any) -> Parsed:
             at = len(content)  # appended data has a place of its own
             break
         at += 3 + size
-    with contextlib.redirect_stdout(io.StringIO()):  # the library prints what it finds wrong
+    with contextlib.redirect_stdout(io.StringIO()):  # the library prints errors of the file
         log = library("pyulog").ULog(io.BytesIO(content), _TOPICS)
     if (at != len(content) or log.file_corruption) and not drop:
         raise ValueError("messages are truncated or damaged. Set drop_bad_rows = true in a map to read the rest.")

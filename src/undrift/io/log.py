@@ -31,7 +31,7 @@ from undrift.io.text import Text, parse_text
 
 _HEAD = 1 << 16
 _WATCHED = 1 << 16  # lines, between two words of how far a file is read
-_LEAST = 5  # readings of a log, and lines of one that may be of one
+_LEAST = 5  # readings of a log, and lines that may belong to one reading
 _SHARE = 0.5  # of the lines of the most frequent shape: as frequent, so that it comes in every reading
 _MOST_LINES = 24  # of one reading
 _NUMBER = re.compile(r"(?<![\w.^])[-+]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|(?:nan|inf)\b)")
@@ -58,7 +58,7 @@ _BOTH = re.compile(r"(?i)a/g|acc\w*[ /+&]+gyr\w*")  # before six numbers: of the
 class LogLine(NamedTuple):
     """A line with numbers, taken apart."""
 
-    shape: tuple[str, ...]  # The heading above it, what stands before each number, what stands behind the last
+    shape: tuple[str, ...]  # heading above the line, text before each number, and text after the last
     values: tuple[str, ...]
     stamp_s: float | None
 
@@ -67,7 +67,7 @@ class LogLine(NamedTuple):
 class SerialLog:
     """The readings in a log, as a table."""
 
-    names: tuple[str, ...]  # Of each column; positions where nothing names a column
+    names: tuple[str, ...]  # name of each column, or its position
     content: bytes  # CSV without a header
     before: int  # Lines with numbers before the first reading
     lost: int  # Lines with numbers after it that belong to no reading

@@ -70,7 +70,7 @@ def write_parquet(record: Record, path: str | Path) -> None:
 class ParquetWriter:
     """Write a record chunk by chunk. The file appears under its name only when the with block ends well."""
 
-    write_every_s = 10.0  # of the record, where it comes live
+    write_every_s = 10.0  # name of the record, if it is recorded live
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
@@ -118,7 +118,7 @@ class ParquetWriter:
             self._part = new_part(self.path)
             with _room(self.path, 0):
                 self._sink = pa.OSFile(str(self._part), "wb")
-                how = {"write_page_checksum": True, "write_statistics": ["time_s"]}  # others look up rows by time alone
+                how = {"write_page_checksum": True, "write_statistics": ["time_s"]}  # other rows are found by time only
                 self._writer = pq.ParquetWriter(self._sink, schema, use_dictionary=False, **how)
             self._schema = schema
         if not schema.equals(self._schema, check_metadata=True):
@@ -198,7 +198,7 @@ def _batches(path: str | Path, handle: Any, rows: int) -> Iterator[Any]:
         for batch in handle.iter_batches(batch_size=rows):
             batches.append(batch)
             count += batch.num_rows
-            while count >= rows + 2:  # what is left over is a chunk of its own
+            while count >= rows + 2:  # the remainder is a chunk of its own
                 table = pa.Table.from_batches(batches)
                 yield table.slice(0, rows)
                 batches, count = table.slice(rows).to_batches(), count - rows

@@ -105,7 +105,7 @@ def read_phone_zip(path: Path, how: ColumnMap) -> RawTable:
     with sound(path, "zip"), zipfile.ZipFile(path) as archive, TemporaryDirectory() as folder:
         for item in archive.infolist():
             name = PurePosixPath(item.filename).name
-            if name in wanted and item.file_size > MOST_BYTES:  # zipfile unpacks no more than is stated
+            if name in wanted and item.file_size > MOST_BYTES:  # zipfile unpacks at most the stated size
                 raise too_large(path)
             if name in wanted:
                 (Path(folder) / name).write_bytes(archive.read(item))

@@ -28,7 +28,7 @@ from undrift.units import RADIAN_PER_DEGREE
 _WINDOW_S = 0.2
 _MOVED = (10.0 * RADIAN_PER_DEGREE, 90.0 * RADIAN_PER_DEGREE)  # of gravity in a window: the device turned
 _LEAST_WINDOWS = 20
-_CLEARLY = 0.5  # the right unit misses gravity by less than this share of what the other does
+_CLEARLY = 0.5  # largest ratio of the errors of gravity in the right unit and in another
 
 
 def map_text(
@@ -72,7 +72,7 @@ def _gyro_by_gravity(path: str, proposal: MapProposal) -> tuple[str, str] | None
     try:
         how = map_of_tree({"columns": needed, "units": time | counts, "gaps": "keep"} | rate | proposal.layout)
         turned = gyro_unit_of(read_record(path, how))
-    except InputError:  # the map will say what is wrong when it is used
+    except InputError:  # the map names the error when it is used
         return None
     if turned is None:
         return None

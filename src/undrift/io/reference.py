@@ -72,10 +72,10 @@ L5_OFFSET = (-0.02, 0.0, 0.035)
 class Body:
     """A segment as an anatomical frame in every frame of a recording."""
 
-    # Orientation b to n (b: x forward, y left, z up) and position of its origin, m; NaN where a marker is missing
+    # Orientation b to n (b: x forward, y left, z up) and position of its origin, m, or NaN if a marker is missing
     reference: Reference
     labels: tuple[str, ...]  # Markers used, as the file calls them
-    residual: float  # Root mean square of what a rigid body leaves, m; 0 for a body made of lines
+    residual: float  # root mean square of the residuals of a rigid body, m (0 for a body that is made of lines)
 
 
 def find_body(markers: Markers, name: BodyName) -> Body:
@@ -235,7 +235,7 @@ class ReferenceMap(TomlTable):
     units: dict[Literal["time", "position", "markers", "angle"], str] = Field(
         default_factory=dict
     )  # of the columns that are named
-    sample_rate_hz: float | None = None  # Hz, where there is no time column
+    sample_rate_hz: float | None = None  # Hz, without a time column
     # "body_to_level" as undrift has it, or "level_to_body" for the inverse
     turns: Literal["body_to_level", "level_to_body"] = "body_to_level"
     up: Literal["x", "y", "z", "-x", "-y", "-z"] = "z"  # axis of the laboratory that points up

@@ -73,24 +73,24 @@ class HeadEntry(TomlTable):
     kind: Kind  # calibration, thermal or static
     serial: str  # Device serial number
     gravity_m_s2: Finite | None = None  # Local gravity, m/s2; or the next two; standard gravity is assumed without any
-    latitude_deg: Finite | None = None  # Where it was recorded
+    latitude_deg: Finite | None = None  # latitude and altitude of the recording
     height_m: Finite | None = None
-    mounting: Mounting | None = None  # Of a fit to references: "one" for all recordings, or "each" its own
+    mounting: Mounting | None = None  # mounting in a fit to references: "one" for all recordings, or "each"
 
 
 class RecordingEntry(ColumnMap):
     """A [[recording]]: these keys and the keys of a map."""
 
-    file: str | Sequence[str]  # Beside session.toml; several files are joined side by side
-    sha256: str = ""  # Of the file as it was written: another content is refused
+    file: str | Sequence[str]  # file next to session.toml, or several files that are joined side by side
+    sha256: str = ""  # hash of the file: another content is refused
 
 
 class PieceEntry(TomlTable):
     """What [[still]] and [[turn]] share."""
 
-    recording: int = 0  # Which [[recording]], from 0
-    start_s: Finite  # On the recording's own clock
-    stop_s: Finite  # Likewise, left out itself
+    recording: int = 0  # number of the [[recording]], from 0
+    start_s: Finite  # on the recording's own clock
+    stop_s: Finite  # on the same clock; the sample at this time is not included
     temp_c: Annotated[Finite, Ge(-273.15)] | None = None  # Chamber set-point, degC
 
 
@@ -111,7 +111,7 @@ class TurnEntry(PieceEntry):
 class SessionFile(TomlTable):
     """The whole file."""
 
-    session: HeadEntry  # Of which device, and where
+    session: HeadEntry  # device and place
     rate_table: RateTable = RateTable()  # May be left out
     temperature: TemperatureSensitivity = TemperatureSensitivity()  # May be left out
     recording: Annotated[tuple[RecordingEntry, ...], MinLen(1)]  # One or more

@@ -22,7 +22,7 @@ KIND = "undrift.calibration"
 ANSWER_KEYS = frozenset({
     "lacking", "motion", "version", "findings", "result", "error",
 })  # fmt: skip
-# what ``undrift calibrate --json`` says beside the calibration
+# keys of ``undrift calibrate --json`` besides the calibration
 codec.stored(form=ColumnMap, read=file_map_of, write=lambda file_map: json.loads(file_map.text))(FileMap)
 
 

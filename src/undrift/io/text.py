@@ -37,7 +37,7 @@ from undrift.io.column_map import READ_SETTINGS, Column, ColumnMap, TextLayout, 
 from undrift.io.columns import FORMAT, KIND, RawTable, find_column, is_number, marks_of, native_columns, read_marks
 from undrift.record import Record
 
-Provenance: TypeAlias = Mapping[str, Any]  # what a record was made from and by, as JSON
+Provenance: TypeAlias = Mapping[str, Any]  # origin of a record and its program, as JSON
 EMPTY = ["", "NaN", "nan", "NAN", "NA", "N/A", "n/a", "null", "NULL", "None", "-nan", "#N/A"]
 _HEAD = 1 << 20  # bytes at the start
 _NO_LINE_END = "the last row has no line end: it may be cut"
@@ -157,7 +157,7 @@ def _table_of(names: Sequence[str], columns: Sequence[FloatArray]) -> Any:
 class Appender:
     """Writes lines piece by piece into a new file that is whole after each, whatever ends it."""
 
-    write_every_s = 1.0  # of a record, where it comes live
+    write_every_s = 1.0  # name of the record, if it is recorded live
 
     def __init__(self, path: Path) -> None:
         self.path, self._sink = path, -1
@@ -202,7 +202,7 @@ class Text:
     """A text table, opened and its header read, its rows not parsed yet."""
 
     path: Path
-    content: bytes | None  # Unpacked text; None when Arrow may read the file itself
+    content: bytes | None  # unpacked text, or None if Arrow can read the file itself
     head: bytes  # The first MiB of the text
     names: tuple[str, ...]  # Header, or positions as text
     layout: TextLayout
@@ -262,7 +262,7 @@ def parse_text(text: Text, wanted: tuple[Column, ...]) -> RawTable:
     try:
         parsed = pa.concat_tables(_pieces(text, start, size, positions), promote_options="permissive")
         return RawTable(source=str(text.path), names=text.names, columns=tuple(parsed.columns))
-    except (pa.ArrowInvalid, pa.ArrowTypeError):  # a bad row, or a column beside that turns from numbers to words
+    except (pa.ArrowInvalid, pa.ArrowTypeError):  # a bad row, or another column that changes from numbers to words
         pass
     return _parse_by_row(text, positions)
 
@@ -277,7 +277,7 @@ def _pieces(text: Text, start: int, size: int, positions: list[int]) -> Iterator
     with text.path.open("rb") if text.content is None else io.BytesIO(text.content) as handle:
         handle.seek(start)
         while end := handle.readinto(buffer):
-            end = buffer.rfind(b"\n", 0, end) + 1 if start + end < size else end  # what follows begins the next piece
+            end = buffer.rfind(b"\n", 0, end) + 1 if start + end < size else end  # the rest begins the next piece
             if not end or (buffer.find(b'"', 0, end) >= 0 and _torn(bytes(buffer[:end]).split(b"\n"))):
                 raise pa.ArrowInvalid("rows that do not end, or quotes that do not close")
             start = handle.seek(start + end)
