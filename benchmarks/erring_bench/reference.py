@@ -44,7 +44,7 @@ class Case:
 
     grade: str
     optics: OpticsSettings
-    tripled: str = ""  # source at three times its size: creep, codes, flicker, clock, slow, level, noise or mounting
+    tripled: str = ""  # source at three times its size: creep, codes, flicker, slow, level, noise or mounting
     errs: bool = False  # 12 bit, flicker, creep, time stamps that jitter, slow errors and a common tilt of the poses
 
 
@@ -53,7 +53,7 @@ CASES = {
     "industrial part, cameras 0.02 deg": Case("industrial", OpticsSettings()),
     "consumer part, 0.06 deg, mounting 0.5 deg": Case("consumer", OpticsSettings(angle_sd=1e-3, mount_sd=9e-3)),
     "the same with all errors": STATED,
-    **tripled(STATED, ("creep", "codes", "flicker", "clock", "slow", "level", "noise", "mounting")),
+    **tripled(STATED, ("creep", "codes", "flicker", "slow", "level", "noise", "mounting")),
 }
 
 
@@ -152,7 +152,7 @@ def _seen(
     slow_error = SLOW_SD * times(case, "slow") * rng.standard_normal((len(reference), 3))
     slow_error[1:] *= np.sqrt(1.0 - correlation**2)
     off = lfilter([1.0], [1.0, -correlation], slow_error, axis=0)
-    record = replace(record, time=record.time + JITTER_S * times(case, "clock") * rng.standard_normal(len(record)))
+    record = replace(record, time=record.time + JITTER_S * rng.standard_normal(len(record)))
     level = REFERENCE_LEVEL * times(case, "level")
     tilt = quaternion_of(np.append(level * rng.standard_normal(2), 0.0))
     q_nb = quaternion_product(tilt, quaternion_product(reference.q_nb, quaternion_of(off)))
