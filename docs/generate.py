@@ -413,12 +413,22 @@ STAGES = {
 }  # fmt: skip
 
 
+def _exported() -> dict[str, list[str]]:
+    """Return the exported names by module, in the order of the stub."""
+    tree = ast.parse(Path(undrift.__file__).with_suffix(".pyi").read_text("utf-8"))
+    names = dict[str, list[str]]()
+    for node in tree.body:
+        if isinstance(node, ast.ImportFrom):
+            names.setdefault(node.module or "", []).extend(alias.name for alias in node.names)
+    return names
+
+
 def api() -> str:
     """Return the page of the exported names, in flow order; names of a new module get a heading of their own."""
     parts = [
         "# Python API\n\nEvery name of `undrift.__all__`, in the order of the flow. [From Python](../python.md) shows them at work."
     ]
-    for module, names in undrift._MODULES.items():
+    for module, names in _exported().items():
         title = STAGES.get(module, module)
         parts.append(f"## {title}" if title else "")
         for name in names:

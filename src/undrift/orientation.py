@@ -218,6 +218,7 @@ def check_pitch_axes(q_nb: FloatArray, rest: slice | BoolArray | None, forward: 
 
 # ---- A whole record
 
+NORMAL_95 = 1.96  # 95 % of normal errors lie within 1.96 standard uncertainties
 LONGEST_HOLE_S = 0.1  # a person turns by 10 deg in it
 # During a rest, a standing person sways by 1 deg/s rms and by 0.5 deg from its first third to its last
 MOVING_RATE, TURNED = 5.0 * RADIAN_PER_DEGREE, 1.5 * RADIAN_PER_DEGREE
@@ -257,6 +258,8 @@ class Orientation(Shown):
     still: Still | None  # still phase of the initial tilt, or None if the device never rests
     offset: Annotated[FloatArray, Shape(3)]  # rate that was subtracted at that phase, rad/s
     offset_uncertainty: float  # standard, all axes together, rad/s
+    # 95 % limit of the pitch error, rad. None for a filter, and if the accelerometers have no stated uncertainty.
+    pitch_limit: Annotated[FloatArray | None, Shape("n")] = None
     findings: tuple[Finding, ...] = ()  # expected drift of strapdown, and unsuitable axes of the pitch
 
     def __post_init__(self) -> None:
@@ -363,18 +366,38 @@ def orient(
     rest = None if still is None else slice(still.start, still.stop)
     findings += () if still is None else _check_rest(record, still)
     findings += check_pitch_axes(q, rest, settings.forward, settings.up)
+    pitch, limit = sagittal_pitch(q, forward=settings.forward, up=settings.up), None
+    if settings.method == "strapdown" and tilt.basis == "calibration":
+        scale_uncertainty = 0.0 if gyro_model is None else gyro_model.relative_uncertainty
+        limit = _pitch_limit(
+            record.time - record.time[anchor], pitch - pitch[anchor], tilt, uncertainty, scale_uncertainty
+        )
     return Orientation(
         time=record.time,
         q_nb=q,
         inclination=inclination_of(q),
         heading=heading_of(q),
-        pitch=sagittal_pitch(q, forward=settings.forward, up=settings.up),
+        pitch=pitch,
         tilt=tilt,
         still=still,
         offset=offsets[anchor],
         offset_uncertainty=uncertainty,
+        pitch_limit=limit,
         findings=findings,
     )
+
+
+def _pitch_limit(
+    time_s: FloatArray, pitch: FloatArray, tilt: Tilt, offset_uncertainty: float, scale_uncertainty: float
+) -> FloatArray:
+    """Return the 95 % limit of the pitch error over the time since the rest (N,): tilt, offset and scale factor, rad."""
+    parts = (
+        tilt.expanded_uncertainty,
+        NORMAL_95 * offset_uncertainty * np.abs(time_s),
+        NORMAL_95 * scale_uncertainty * pitch,
+    )
+    limit: FloatArray = np.sqrt(sum(np.square(component) for component in parts))
+    return limit
 
 
 def _segment_orientation(q_nb: FloatArray, mounting: BodyMounting, anchor: int, *, magnetometer: bool) -> FloatArray:

@@ -5,13 +5,11 @@ numbers of the JSON.
 """
 
 import re
-from pathlib import Path
 
 import pytest
 from hypothesis import strategies as st
 
 from testkit.terminal import WIDTHS, Terminal, on
-from undrift import cli
 from undrift.cli import common
 from undrift.cli.app import run
 from undrift.commands.validate import SHOWN
@@ -49,13 +47,6 @@ def test_a_line_that_is_written_over_keeps_whole_words_and_says_that_there_is_mo
         common.Terminal().over("[3/120] 0:12:01 left  dwell x, soaking  gyro 123.456 deg/s")
         common.Terminal().over("gyro 123.456 deg/s")
     assert place.getvalue() == "\r\x1b[J[3/120] 0:12:01 left  dwell x, …\r\x1b[Jgyro 123.456 deg/s"
-
-
-def test_every_command_shows_what_it_shows_in_one_way():
-    for path in sorted(Path(cli.__file__).parent.glob("*.py")):
-        text = path.read_text()
-        if path.name != "common.py":
-            assert re.search(r"\bconsole\(|rich\.(console|table)|\bprint\(|\[:150\]", text) is None, path.name
 
 
 def on_a_terminal(width: int, *words: object) -> list[str]:

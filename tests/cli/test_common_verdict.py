@@ -20,12 +20,11 @@ def bad(bench, tmp_path):
     return tmp_path / "bad.json"
 
 
-@pytest.mark.parametrize("command", ["correct", "orient", "validate", "info", "export", "certificate"])
+@pytest.mark.parametrize("command", ["correct", "validate", "info", "export", "certificate"])
 def test_what_a_bad_calibration_gives_is_there_and_ends_with_code_1(undrift, bench, bad, tmp_path, command):
     trial = [command, bench / "trial.parquet", "--calibration", bad]
     words = {
         "correct": [*trial, "-o", tmp_path / "c.csv"],
-        "orient": [*trial, "-o", tmp_path / "o.csv"],
         "validate": [*trial, "--reference", bench / "reference.parquet", "-o", tmp_path / "v"],
         "info": [command, bad],
         "export": [command, bad, "--target", "constants", "-o", tmp_path / "c.json"],

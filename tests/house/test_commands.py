@@ -7,10 +7,15 @@ from pathlib import Path
 import pytest
 
 from undrift.cli.app import COMMANDS, run
-from undrift.commands import GROUPS, VERBS
+from undrift.commands import GROUPS
 from undrift.commands.files import Opening
 
 ROOT = Path(__file__).parents[2]
+
+
+def home_of(name: str) -> str:
+    """Return the package of a command."""
+    return "cli" if name == "bench" else "commands"
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -25,7 +30,7 @@ def test_every_command_answers_help_with_each_of_its_options_explained(
     assert set(re.findall(r"--no-\w+", out)) <= {
         "--no-browser",
     }  # asked for by name; no flag has an automatic opposite
-    home = importlib.import_module(f"undrift.{'commands' if name in (*VERBS, *GROUPS) else 'cli'}.{name}")
+    home = importlib.import_module(f"undrift.{home_of(name)}.{name}")
     for held in (*(getattr(home, function) for function in GROUPS.get(name, {name: name}).values()), Opening):
         together = re.findall(r"^ *(\w+(?:, \w+)+) : ", held.__doc__ or "", re.M)
         assert together == [], "options that share a paragraph lose their help"
@@ -33,6 +38,6 @@ def test_every_command_answers_help_with_each_of_its_options_explained(
 
 def test_every_command_has_a_file_and_a_test_of_its_own() -> None:
     for name in COMMANDS:
-        home = "commands" if name in (*VERBS, *GROUPS) else "cli"
+        home = home_of(name)
         assert (ROOT / "src" / "undrift" / home / f"{name}.py").is_file()
         assert (ROOT / "tests" / home / f"test_{name}.py").is_file()

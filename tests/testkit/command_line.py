@@ -126,3 +126,9 @@ def warm_between(bench, folder, start_s, stop_s, *, accel=False):
     warm = (raw.time >= start_s) & (raw.time < stop_s)
     write_record(replace(raw, temp_c=np.where(warm, 31.0, 25.0)), folder / "warm.parquet")
     return [folder / "warm.parquet", "--calibration", folder / "c.json"]
+
+
+def row_of(answer: dict[str, Any], table: str, name: str) -> dict[str, Any]:
+    """Return the row of a table in JSON whose first cell is a name."""
+    (row,) = (row for row in answer["tables"][table] if next(iter(row.values())) == name)
+    return dict(row)

@@ -106,7 +106,9 @@ def _dispatch(arguments: Sequence[str]) -> int:
 
         _check_names(arguments)
         CALLED.set(tuple(arguments))
-        code = app(list(arguments))
+        from undrift.cli.call import MOVED, call
+
+        code = call(arguments) if arguments[0] in {words.split()[0] for words in MOVED} else app(list(arguments))
         sys.stdout.flush()  # a full disk is told here, not when Python ends
     except UndriftError as error:
         return _refuse(arguments, error, str(error), code=3 if isinstance(error, RigError) else 2)
@@ -189,15 +191,16 @@ def app(arguments: Sequence[str]) -> object:
 
 
 def _refuse(arguments: Sequence[str], error: BaseException, text: str, *, code: int) -> int:
-    """Print an error to stderr. With --json, also print the envelope with the error to stdout."""
+    """Print an error to stderr. With --json, also print an object with the error to stdout."""
     if "--json" in arguments:
         from undrift.base.spoken import spoken
-        from undrift.cli.common import write_json
+        from undrift.cli.call import write_json
 
         names = [word for word in arguments[:2] if word.isidentifier()]
-        command = " ".join(names if names[:1] in ([group] for group in commands.GROUPS) else names[:1])
+        command = "_".join(names if names[:1] == ["rig"] else names[:1])
+        told = {"kind": type(error).__name__, "text": spoken(" ".join(text.split()))}
         with suppress(OSError):  # the output is closed, or its disk is full
-            write_json({}, command, error={"kind": type(error).__name__, "text": spoken(" ".join(text.split()))})
+            write_json({"kind": f"undrift.{command}", "version": __version__, "error": told})
     return complain(text, code=code)
 
 

@@ -15,13 +15,10 @@ of their names. Results are in SI.
 Open ``orient.py`` first, the shortest complete verb. Nothing here imports numpy before a verb is called.
 """
 
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from importlib import import_module
 from pathlib import Path
-from types import ModuleType
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 # Each a function in the module of its name
 VERBS = (
@@ -33,33 +30,6 @@ GROUPS = {  # of commands in one module: the function of each
 }
 
 
-class Commands(ModuleType):
-    """A package in which each module with the name of a command is callable. The import system creates these modules."""
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        home = self.__name__.rpartition(".")[2]
-        names = (*VERBS, *GROUPS) if home in ("undrift", "commands") else GROUPS.get(home, ())
-        if name in names and type(value) is ModuleType:
-            value.__class__ = Command
-        super().__setattr__(name, value)
-
-
-class Command(Commands):
-    """A module of a command's name: ``undrift.twin(...)`` calls it, ``undrift.rig.run(...)`` one of a group."""
-
-    def __call__(self, *given: Any, **stated: Any) -> Any:
-        *_, group, name = self.__name__.split(".")
-        home = group if group in GROUPS else name
-        return getattr(import_module(f"undrift.commands.{home}"), name)(*given, **stated)
-
-    def __getattr__(self, name: str) -> Any:
-        group = self.__name__.rpartition(".")[2]
-        if name not in GROUPS.get(group, {}).values():
-            raise AttributeError(f"module '{self.__name__}' has no attribute '{name}'")
-        return getattr(import_module(f"undrift.commands.{group}"), name)
-
-
-sys.modules[__name__].__class__ = Commands
 Progress: TypeAlias = Callable[[str, float], None]  # current task, and share of the whole that is done
 
 

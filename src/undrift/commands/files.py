@@ -343,6 +343,16 @@ def corrected(
     return done.record, tuple(item for item in done.findings if item.level == "warn"), done.notes
 
 
+def calibration_findings(model: "Calibration | None") -> "tuple[Finding, ...]":
+    """Return one finding in place of those of a calibration whose verdict is not good."""
+    from undrift.findings import finding
+
+    if model is None or model.verdict.status == "good":
+        return ()
+    status, count = model.verdict.status, sum(item.level != "info" for item in model.verdict.findings)
+    return (finding("calibration.verdict", "fail" if status == "bad" else "warn", status=status, count=count),)
+
+
 def worn_by(model: "Calibration | None", forward: str | None, up: str | None) -> "BodyMounting | None":
     """Return the mounting in a calibration, or None if the sides of the device are given instead."""
     return None if model is None or forward or up else model.mounting

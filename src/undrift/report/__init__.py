@@ -1,1 +1,5 @@
-"""Pictures and pages of results. Nothing is computed here. Every number is a field of a result."""
+"""What people see: reports of commands with their tables and figures, on a terminal, as a page and as JSON."""
+
+from undrift.report.report import Cell, Estimate, Report, Table
+
+__all__ = ["Cell", "Estimate", "Report", "Table"]

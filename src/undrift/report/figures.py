@@ -443,10 +443,9 @@ def draw_record(record: "Record") -> "Figure":
     return figure
 
 
-def draw_orientation(orientation: "Orientation", band: FloatArray | None = None) -> "Figure":
-    """Draw inclination, pitch and heading over time, with the rest shaded. The 95 % limit of the pitch error is in rad
-    (N,).
-    """
+def draw_orientation(orientation: "Orientation") -> "Figure":
+    """Draw inclination, pitch with its 95 % limit, and heading over time, with the rest shaded."""
+    band = orientation.pitch_limit
     angles = (("inclination", orientation.inclination), ("pitch", orientation.pitch), ("heading", orientation.heading))
     figure, panels = new_figure(3 if band is None else 4, height=1.5)
     for axes, (name, angle) in zip(panels, angles, strict=False):

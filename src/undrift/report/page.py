@@ -7,6 +7,7 @@ and the sections. Figures follow the colour scheme of the reader. page.css defin
 
 import platform
 import re
+import shlex
 from collections.abc import Iterable
 from itertools import count
 from pathlib import Path
@@ -16,8 +17,36 @@ from undrift.base.spoken import showing, spoken
 from undrift.base.summary import Drawing, Origin, Section, Summary, at, sentence
 from undrift.files import write_whole
 from undrift.findings import SHOWN_FIRST, Finding, most_consequential_first
+from undrift.report.figures import svg_of
+from undrift.report.report import Report
 
 SCREEN_LINES = 3 * 32  # of text on three screens: longer pages have contents
+
+
+def write_report(path: Path, report: Report, origin: Origin | None = None) -> None:
+    """Write the page of a report."""
+    write_whole(path, page_text(report, origin))
+
+
+def page_text(report: Report, origin: Origin | None = None) -> str:
+    """Return a report as a self-contained HTML page."""
+    from jinja2 import Environment, PackageLoader
+
+    style, number = Path(__file__).with_name("page.css").read_text(), count(1)
+    palette = set(re.findall(r"--c([0-9a-f]{6}):", style))
+    environment = Environment(loader=PackageLoader("undrift", "report"), autoescape=True)
+    with showing():
+        text = environment.get_template("report_page.html.j2").render(
+            report=report,
+            first=SHOWN_FIRST,
+            style=style,
+            svg=lambda figure: _inline(svg_of(figure()), next(number), palette),
+            next_command=shlex.join(map(str, report.next_command)),
+            origin=origin or Origin(),
+            spoken=spoken,
+            versions=_versions(),
+        )
+    return text.lstrip()
 
 
 def write_page(path: Path, summary: Summary, origin: Origin | None = None) -> None:

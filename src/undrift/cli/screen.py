@@ -1,0 +1,86 @@
+"""The terminal during a command: progress with the time left, lines and questions, on stderr and stdin."""
+
+import os
+import sys
+import threading
+import time
+from types import TracebackType
+
+from undrift.report.terminal import console, say, wrap
+from undrift.screen import Screen
+
+INTERVAL_VARIABLE, INTERVAL_S = "UNDRIFT_PROGRESS_S", 8.0  # between lines of progress if stderr is not a terminal
+
+
+class Terminal(Screen):
+    """A bar of progress on a terminal. Elsewhere a line every 8 s. Both state the time left."""
+
+    def __init__(self, command: str) -> None:
+        from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+        from rich.table import Column
+
+        self._command, self._task, self._share, self._begun = command, "reading", 0.0, False
+        columns = (
+            TextColumn("{task.description}", markup=False, table_column=Column(overflow="fold")),  # wraps at spaces
+            BarColumn(max(4, min(40, console(err=True).width - 60))),
+            TextColumn("{task.percentage:>3.0f} %"),
+            TimeRemainingColumn(),
+        )
+        self._interactive = sys.stderr.isatty()
+        self._bar = Progress(*columns, console=console(err=True), transient=True, disable=not self._interactive)
+        self._bar_task = self._bar.add_task(self._task, total=1.0)
+        self._stop, self._start_s = threading.Event(), time.monotonic()
+        self._step: int | None = None
+        self._lines = 1  # number of lines shown last, which the next lines overwrite
+
+    def __enter__(self) -> "Terminal":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stop.set()
+        self._bar.stop()
+
+    def progress(self, task: str, share: float) -> None:
+        if not self._begun:  # do not disturb the earlier content of the screen
+            self._begun = True
+            self._bar.start()
+            if not self._interactive:
+                threading.Thread(target=self._report_periodically, daemon=True).start()
+        *lines, self._task = task.split("\n")
+        self._share = share
+        say(*(f"undrift {self._command}: {line}" for line in lines), err=True)
+        self._bar.update(self._bar_task, description=self._task, completed=share)
+
+    def say(self, *lines: str) -> None:
+        say(*lines, err=True)
+
+    def over(self, line: str, *, step: int | None = None, last: bool = False) -> None:
+        if self._interactive:
+            width = console(err=True).width - 1
+            lines = [wrap(row, width, max_lines=1, placeholder=" …")[0] for row in line.split("\n")]
+            above = f"\x1b[{self._lines - 1}A" if self._lines > 1 else ""
+            sys.stderr.write(f"\r{above}\x1b[J" + "\n".join(lines) + "\n" * last)
+            sys.stderr.flush()
+            self._lines = 1 if last else len(lines)
+        elif step not in (None, self._step):
+            self._step = step
+            sys.stderr.write(line.partition("\n\n")[0].replace("\n", ". ") + "\n")
+
+    def ask(self, line: str) -> str:
+        sys.stderr.write(line)
+        sys.stderr.flush()
+        if answer := sys.stdin.readline():
+            return answer
+        raise EOFError
+
+    def _report_periodically(self) -> None:
+        interval = os.environ.get(INTERVAL_VARIABLE, "")
+        while not self._stop.wait(float(interval) if interval.replace(".", "", 1).isdigit() else INTERVAL_S):
+            elapsed_s, share = time.monotonic() - self._start_s, self._share
+            remaining = "time left not known yet"
+            if share > 0.0:
+                remaining = f"about {elapsed_s * (1.0 - share) / share:.0f} s left ({100.0 * share:.0f} %)"
+            sys.stderr.write(f"undrift {self._command}: {self._task}, {elapsed_s:.0f} s so far, {remaining}\n")
+            sys.stderr.flush()
