@@ -21,7 +21,6 @@ from undrift.drift.observe import RestBlocks, observe_rests
 from undrift.drift.offset import fit_static
 from undrift.model import TriadModel
 from undrift.record import Record, Session, Still
-from undrift.segments import still_means
 from undrift.units import STANDARD_GRAVITY
 
 NOTHING, SIMULATED = "nothing", "constants on simulated devices"
@@ -88,7 +87,7 @@ def found_poses(record: Record) -> tuple[Still, ...]:
 
 def length_error(record: Record, stills: Sequence[Still], model: TriadModel | None) -> FloatArray:
     """Return what gravity is too long in rests, m/s2."""
-    means = still_means(np.asarray(record.accel), stills)
+    means = np.array([np.asarray(record.accel)[still.start : still.stop].mean(axis=0) for still in stills])
     means = means if model is None else (means - model.offset) @ model.matrix.T
     return np.linalg.norm(means, axis=1) - STANDARD_GRAVITY
 
