@@ -176,4 +176,4 @@ def test_a_banner_with_the_commas_of_the_rows_is_not_taken_for_names(tmp_path):
 
 def test_one_axis_a_file_is_named(tmp_path):
     found = describe(put(tmp_path, "x.csv", "".join(f"{16000 + k % 9}\n" for k in range(60))))
-    assert "three axes of a sensor in one file" in found.summary
+    assert "{ gyro = { x = 0 } }, { gyro = { y = 0 } }, { gyro = { z = 0 } }" in found.summary

@@ -11,8 +11,9 @@ import pytest
 from testkit.strategies import assert_same, one_line
 from undrift.errors import FileFormatError, InputError
 from undrift.files import sha256_of
+from undrift.io.column_map import file_map_of, read_map
 from undrift.io.parquet import write_parquet
-from undrift.io.session import read_session, sealed, write_session
+from undrift.io.session import read_session, sealed, session_from_files, write_session
 from undrift.io.text import write_csv
 from undrift.record import RateTable, Record, Session, Still, TemperatureSensitivity, Turn
 from undrift.units import gravity_at
@@ -195,6 +196,45 @@ def test_settings_of_a_map_without_columns_are_not_ignored(tmp_path):
     (tmp_path / "session.toml").write_text(HEAD + "[[recording]]\nfile = []\n")
     with pytest.raises(InputError, match="file: expected one file or more"):
         read_session(tmp_path)
+
+
+def write_axes(folder, axes="xyz"):
+    """Write a file for each axis of the gyroscope and one for the accelerometer, and the map that joins them."""
+    for number, axis in enumerate(axes):
+        lines = "".join(f"{k / 100:.2f},{k + 100 * number}\n" for k in range(50))
+        (folder / f"{axis}.csv").write_text(f"t,rate\n{lines}")
+    lines = "".join(f"{k / 100:.2f},0,0,1\n" for k in range(50))
+    (folder / "a.csv").write_text(f"t,ax,ay,az\n{lines}")
+    tables = [f'{{ time = "t", gyro = {{ {axis} = "rate" }} }}' for axis in axes]
+    tables.append('{ time = "t", accel = ["ax", "ay", "az"] }')
+    units = 'units = { time = "s", gyro = "dps", accel = "g" }\n'
+    (folder / "map.toml").write_text(f"columns = [{', '.join(tables)}]\n{units}")
+    return [folder / f"{name}.csv" for name in (*axes, "a")]
+
+
+@pytest.mark.parametrize("kind", ["map", "session"])
+def test_a_file_for_each_axis_is_one_recording(tmp_path, kind):
+    files = write_axes(tmp_path)
+    if kind == "map":
+        session = session_from_files(files, file_map_of(read_map(tmp_path / "map.toml")))
+    else:
+        names = [file.name for file in files]
+        text = f"{HEAD}[[recording]]\nfile = {names}\n{(tmp_path / 'map.toml').read_text()}"
+        (tmp_path / "session.toml").write_text(text)
+        session = read_session(tmp_path)
+    (record,) = session.records
+    np.testing.assert_array_equal(record.gyro, np.arange(50.0)[:, None] + [0.0, 100.0, 200.0])
+    np.testing.assert_array_equal(record.accel[7], [0.0, 0.0, 1.0])
+    assert record.gyro_unit == "dps"
+
+
+@pytest.mark.parametrize(
+    ("axes", "words"), [("xy", "got none of z"), ("xyy", "got y in several"), ("z", "got none of x, y")]
+)
+def test_axes_that_are_missing_or_mapped_twice_are_named(tmp_path, axes, words):
+    write_axes(tmp_path, axes)
+    with pytest.raises(InputError, match=words):
+        read_map(tmp_path / "map.toml")
 
 
 def test_files_side_by_side_need_one_time_base_and_different_channels(tmp_path):

@@ -5,6 +5,7 @@ A map stands alone in a file, as a [[recording]] of session.toml (with the name 
     sample_rate_hz = 102.4
     columns = { time = "t", gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"], temp = "T" }  # names, or positions from 0
     units = { time = "s", gyro = "dps", accel = "m/s2", temp = "degC" }
+    columns = [{ time = "t", gyro = { x = "rate" } }, { time = "t", gyro = { y = "rate" } }, ...]    # a file for each axis
     scale = { temp = { gain = 0.00294117647, offset = 36.53 } }                          # value = gain * cell + offset
 
 Nothing is guessed: a foreign file needs columns and units. A file with undrift's own column names (``time_s``, ``gyro_x_dps``,
@@ -100,14 +101,26 @@ class TempFile(TextLayout):
     shift_s: Finite = 0.0  # added to the thermometer's time, s
 
 
+class AxisColumns(TomlTable):
+    """Columns of some axes of a channel. The other axes are in other files of the recording."""
+
+    x: Column | None = None
+    y: Column | None = None
+    z: Column | None = None
+
+
+# columns x, y, z, or the name of one array (mat), or the axes in this file
+Triad: TypeAlias = Sequence[Column] | str | AxisColumns
+
+
 class ChannelColumns(TomlTable):
     """Columns of the channels: names in the header, or positions from 0."""
 
     time: Column | None = None  # without it ``sample_rate_hz`` is required
-    gyro: Sequence[Column] | str | None = None  # columns x, y, z, or the name of one array (mat)
-    accel: Sequence[Column] | str | None = None
+    gyro: Triad | None = None
+    accel: Triad | None = None
     temp: Column | None = None
-    mag: Sequence[Column] | str | None = None
+    mag: Triad | None = None
     counter: Column | None = None  # sample counter of the device, which may wrap; used by a regular clock
 
 
@@ -137,7 +150,16 @@ class ColumnMap(TextLayout):
     def columns_of(self, channel: str) -> Columns:
         """Return the columns of a channel, or an empty tuple if it has none."""
         value = getattr(self.columns, channel, None)
+        if isinstance(value, AxisColumns):
+            return tuple(column for column in (value.x, value.y, value.z) if column is not None)
         return () if value is None else (value,) if isinstance(value, str | int) else tuple(value)
+
+    def axes_of(self, channel: str) -> tuple[int, ...]:
+        """Return the axes of a triad that the columns of this map contain, from 0: all three unless they are named."""
+        value = getattr(self.columns, channel, None)
+        if isinstance(value, AxisColumns):
+            return tuple(k for k, axis in enumerate(AXES) if getattr(value, axis) is not None)
+        return (0, 1, 2) if self.columns_of(channel) else ()
 
     def unit_of(self, channel: Channel) -> str:
         """Return the unit of a mapped channel in its one spelling."""
@@ -189,8 +211,27 @@ def naming(source: str | Path) -> Iterator[None]:
         raise type(error)(f"{source}: {error}" if source else str(error), **error.numbers) from error
 
 
+def check_parts(how: ColumnMap) -> None:
+    """Raise InputError if the files of a map do not make a recording together."""
+    for part in how.parts():
+        check_map(part)
+    for channel in ("gyro", "accel", "mag"):
+        axes = [axis for part in how.parts() for axis in part.axes_of(channel)]
+        twice = sorted({AXES[axis] for axis in axes if axes.count(axis) > 1})
+        missing = [AXES[axis] for axis in range(3) if axes and axis not in axes]
+        if twice:
+            raise InputError(
+                f"columns: expected each axis of {channel} in one file, got {', '.join(twice)} in several. Map each axis once."
+            )
+        if missing:
+            raise InputError(
+                f"columns: expected the axes x, y and z of {channel}, got none of {', '.join(missing)}. Add a table of columns "
+                f"for each file, for example {{ time = 0, {channel} = {{ {missing[0]} = 1 }} }}."
+            )
+
+
 def check_map(how: ColumnMap) -> None:
-    """Raise InputError if the columns and units of a map do not make a recording."""
+    """Raise InputError if the columns and units of a map do not make a recording, or a part of one."""
     if not how.columns_of("gyro") and not how.columns_of("accel"):
         example = 'gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"], temp = "T"'
         raise InputError(
@@ -214,7 +255,8 @@ def check_map(how: ColumnMap) -> None:
 
 def _check_channel(how: ColumnMap, channel: Channel) -> None:
     columns, unit, scale = how.columns_of(channel), how.units.get(channel, ""), how.scale_of(channel)
-    if channel in ("gyro", "accel", "mag") and len(columns) not in (1, 3):
+    by_axis = isinstance(getattr(how.columns, channel), AxisColumns)
+    if channel in ("gyro", "accel", "mag") and len(columns) not in (1, 3) and not by_axis:
         raise InputError(f"columns.{channel}: expected three columns x, y, z, got {len(columns)}. Name all three.")
     if len(set(columns)) != len(columns):
         raise InputError(
@@ -319,8 +361,7 @@ def read_map(path: str | Path, **choices: Any) -> ColumnMap:
         )
     how = how.beside(Path(path).parent).but(**{key: value for key, value in choices.items() if value is not None})
     with naming(path):
-        for part in how.parts():
-            check_map(part)
+        check_parts(how)
     return how
 
 

@@ -357,8 +357,8 @@ def two_rates(time: FloatArray) -> tuple[float, float, float] | None:
 def _channel(table: RawTable, how: ColumnMap, channel: Channel) -> FloatArray:
     """Return the scaled values of a channel, shape (N, 1 or 3), in the unit that Record requires."""
     columns, unit = how.columns_of(channel), how.unit_of(channel)
-    scale = how.scale_of(channel)
-    if len(columns) == 1 and channel != "temp":  # a two-dimensional array of a mat file
+    scale, axes = how.scale_of(channel), (0,) if channel == "temp" else how.axes_of(channel)
+    if len(columns) < len(axes):  # a two-dimensional array of a mat file
         name, columns = columns[0], tuple(f"{columns[0]}[{k}]" for k in range(3))
         if columns[2] not in table.names or f"{name}[3]" in table.names:
             raise InputError(
@@ -367,8 +367,8 @@ def _channel(table: RawTable, how: ColumnMap, channel: Channel) -> FloatArray:
             )
     factor = si_factor(unit, QUANTITY[channel]) if channel in ("temp", "mag") else 1.0
     limit = _LARGEST["ut" if channel == "mag" else unit]
-    out = np.empty((len(table), len(columns)))
-    for k, column in enumerate(columns):
+    out = np.full((len(table), 1 if channel == "temp" else 3), np.nan)  # an axis of another file stays NaN
+    for k, column in zip(axes, columns, strict=True):
         values = scale.applied(table.numbers(column), k)
         values = values if factor == 1.0 else values * factor
         _check_values(table, table.names[table.position(column)], values, limit, unit, keep_gaps=how.gaps == "keep")

@@ -25,7 +25,7 @@ import numpy as np
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, read_bytes, read_tree, sound
 from undrift.io.arrays import mat_arrays, read_mat
-from undrift.io.column_map import READ_SETTINGS, ColumnMap, TempFile, is_native, naming, one_map
+from undrift.io.column_map import READ_SETTINGS, ColumnMap, TempFile, check_parts, is_native, naming, one_map
 from undrift.io.columns import RawTable, ReadResult, build_record, in_seconds, is_date, is_number, with_temperature
 from undrift.io.dialects import dialects
 from undrift.io.labelled import is_labelled, read_labelled
@@ -295,6 +295,8 @@ def read_record(path: str | Path, column_map: ColumnMap | None = None) -> Record
     >>> len(record), record.gyro_unit, record.sample_rate_hz
     (3, 'dps', 100.0)
     """
+    if column_map is not None:
+        check_parts(column_map)
     return read_counted(path, column_map).record
 
 

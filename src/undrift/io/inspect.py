@@ -380,8 +380,7 @@ def _needs(path: Path, name: str) -> Description | None:
 def _no_recording(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> str | None:
     """Return what a table is that is no recording of an inertial sensor, None if it may be one."""
     if text is not None:
-        fewer = "a table of fewer than three columns. A recording needs the three axes of a sensor in one file."
-        return foreign_kind(text) or (fewer if len(names) < 3 else None)
+        return foreign_kind(text) or (_one_axis(len(names)) if len(names) < 3 else None)
     if (
         (arrays or not names)
         and not any(array.ndim == 2 and array.shape[1] in (3, 6) for _, array in arrays)
@@ -389,6 +388,14 @@ def _no_recording(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> 
     ):
         return f"arrays without three axes ({', '.join(names[:4])}), not a recording of an inertial sensor"
     return None
+
+
+def _one_axis(width: int) -> str:
+    """Return the map that joins a table of one axis with those of the other axes."""
+    time = "time = 0, " if width > 1 else ""
+    tables = ", ".join(f"{{ {time}gyro = {{ {axis} = {width - 1} }} }}" for axis in AXES)
+    clock = 'units = { time = "s", gyro = "?" }' if time else 'sample_rate_hz = ?, units = { gyro = "?" }'
+    return f"a table of one axis. Read the files of the three axes as one recording, with a map: columns = [{tables}], {clock}"
 
 
 def _not_read(path: Path, name: str, columns: tuple[str, ...], what: str, *, missing: str = "") -> Description:

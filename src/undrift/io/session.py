@@ -41,9 +41,19 @@ from undrift.arrays import FloatArray
 from undrift.base import codec
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, sha256_of, unwritten, write_together
-from undrift.io.column_map import NATIVE_KEYS, Clock, ColumnMap, Finite, TomlTable, file_map_of, map_of, read_toml
+from undrift.io.column_map import (
+    NATIVE_KEYS,
+    Clock,
+    ColumnMap,
+    Finite,
+    TomlTable,
+    check_parts,
+    file_map_of,
+    map_of,
+    read_toml,
+)
 from undrift.io.columns import build_record
-from undrift.io.formats import read_record, settled
+from undrift.io.formats import read_counted, settled
 from undrift.io.parquet import write_parquet
 from undrift.io.phone import phone_pair, read_phone_pair
 from undrift.record import (
@@ -268,9 +278,10 @@ def _read_recording(folder: Path, names: list[str], how: ColumnMap) -> Record:
         return settled(build_record(read_phone_pair(*pair, how)), how).record
     if not names:
         raise InputError("file: expected one file or more, got an empty list")
+    check_parts(how)
     joined: Record | None = None
     for name, part in zip(names, maps or (how,) * len(names), strict=True):
-        record = read_record(folder / name, part if joined is None else part.but(temp_file=None))
+        record = read_counted(folder / name, part if joined is None else part.but(temp_file=None)).record
         joined = record if joined is None else _joined(joined, record, names[0], name)
     return joined or record
 
@@ -284,13 +295,19 @@ def _joined(first: Record, record: Record, first_name: str, name: str) -> Record
         )
     added: dict[str, Any] = {}
     for channel in ("gyro", "accel", "temp_c", "mag_ut"):
-        if getattr(record, channel) is not None:
-            if getattr(first, channel) is not None:
+        before, values = getattr(first, channel), getattr(record, channel)
+        if values is None:
+            continue
+        if before is not None:
+            shared = np.isfinite(before).any(axis=0) & np.isfinite(values).any(axis=0)
+            if shared.any():
                 raise InputError(
                     f"{name}: expected channels that {first_name} lacks, got {channel} again. Map {channel} once."
                 )
-            keys = (channel, f"{channel}_unit") if channel in ("gyro", "accel") else (channel,)
-            added |= {key: getattr(record, key) for key in keys}
+            values = np.where(np.isnan(before), values, before)  # other axes of the same sensor
+        added[channel] = values
+        if channel in ("gyro", "accel"):
+            added[f"{channel}_unit"] = getattr(record, f"{channel}_unit")
     return replace(first, **added)
 
 
