@@ -25,7 +25,7 @@ def export(
     Parameters
     ----------
     calibration : Path
-        calibration.json of the device, or a calibration of imucal.
+        calibration.json of the device.
     target : str
         c, constants, or a target of another package.
     output : Path
