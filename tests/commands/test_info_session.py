@@ -8,9 +8,7 @@ import pytest
 from testkit.command_line import contents
 from testkit.data import data_path, show
 from undrift.io.formats import write_record
-from undrift.io.proposal import gyro_unit_of
 from undrift.io.session import read_session
-from undrift.record import Record
 from undrift.sim.device.presets import random_device
 from undrift.sim.sessions import simulate_session
 
@@ -25,25 +23,10 @@ def board(undrift, tmp_path):
     return tmp_path
 
 
-def test_deg_per_s_is_told_from_rad_per_s_and_nothing_from_a_device_that_only_rests(undrift, tmp_path):
+def test_the_map_has_the_unit_of_rates_that_only_deg_per_s_can_reach(undrift, tmp_path):
     words = ("--write-map", tmp_path / "f.toml", "--sample-rate-hz", 102.4, "--accel-unit", "m/s2")
     undrift.good("info", data_path("ferraris_nilspod", "example_ferraris_session.csv"), *words)
     assert tomllib.loads((tmp_path / "f.toml").read_text())["units"]["gyro"] == "dps"  # SOURCE.md
-    rng = np.random.default_rng(3)
-    rest = Record(
-        time=np.arange(2000) / 100.0, gyro=rng.normal(0, 0.1, (2000, 3)), accel=rng.normal([0, 0, 9.8], 0.1, (2000, 3))
-    )
-    assert gyro_unit_of(rest) is None
-
-
-@pytest.mark.parametrize(("factor", "unit"), [(1.0, "rad/s"), (180.0 / np.pi, "dps"), (16.4 * 180.0 / np.pi, None)])
-def test_a_simulated_device_shows_its_unit_unless_it_reads_counts(factor, unit):
-    session = simulate_session("multi_position", random_device(np.random.default_rng(1)), rng=np.random.default_rng(2))
-    record = session.records[0]
-    per_rad_s = 180.0 / np.pi * 16.4  # of this device, within its tolerance
-    found = gyro_unit_of(Record(time=record.time, gyro=record.gyro * (factor / per_rad_s), accel=record.accel / 1000.0))
-    show("unit found", found, unit)
-    assert (None if found is None else found[0]) == unit
 
 
 @pytest.mark.parametrize(

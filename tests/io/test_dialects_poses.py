@@ -3,13 +3,15 @@
 import numpy as np
 import pytest
 
+from testkit.column_maps import reference_map
 from testkit.data import data_path
 from undrift.errors import FileFormatError, InputError
 from undrift.frames import rotate
-from undrift.io.column_map import ColumnMap
+from undrift.io.column_map import TextLayout
 from undrift.io.formats import read_record, read_reference
 from undrift.io.inspect import describe
-from undrift.io.reference import ReferenceMap
+from undrift.io.proposal import map_text
+from undrift.io.reference import read_reference_map
 
 STO = ("makers", "opensim_sto_mot", "myComplexTasksTrial_orientations.sto")
 IMUS = "pelvis_imu, tibia_r_imu, femur_r_imu, tibia_l_imu, femur_l_imu, calcn_l_imu, calcn_r_imu"
@@ -82,30 +84,23 @@ def test_damaged_opensense_tables_are_named(tmp_path, rows, words):
         read_reference(put(tmp_path, "a.sto", HEAD + rows))
 
 
-# ---- Xsens
+# ---- makers' tables
 
 
-@pytest.mark.parametrize(
-    ("name", "level"),
-    [
-        ("skin_data_xsens.txt", [-0.06, -0.03, 9.75]),  # SOURCE.md, quaternion
-        ("MT46_01-000_00B42D4D.txt", [0.09, 0.0, 9.81]),
-        ("MT2022_ACC_GYRO_ROT_EULER_TAB_00B42D4F.txt", [-0.03, -0.1, 9.99]),  # roll, pitch, yaw
-        ("MT_01200454_000-000_00B40DE4.txt", [0.34, -1.35, 9.89]),  # matrix, in motion
-    ],
-)
-def test_gravity_points_up_through_the_orientations_of_xsens(name, level):
-    path = data_path("makers", "xsens_mtmanager", name)
-    poses = read_reference(path, ReferenceMap(sample_rate_hz=100.0))
-    record = read_record(path, ColumnMap(sample_rate_hz=100.0))
-    np.testing.assert_allclose(rotate(poses.q_nb, record.accel).mean(axis=0), level, atol=0.006)
+def test_quaternions_of_a_maker_are_read_with_the_map_that_info_proposes(tmp_path):
+    path = data_path("makers", "xsens_dot", "LFemur_20210820_202113_831.csv")
+    proposed = describe(path)
+    assert (proposed.kind, "orientations" in proposed.summary) == ("table", True)
+    (tmp_path / "map.toml").write_text(map_text(proposed))
+    poses = read_reference(path, read_reference_map(tmp_path / "map.toml"))
+    assert len(poses) == 195
+    assert poses.time[-1] == pytest.approx(351 / 60.0)  # the counter shows the 157 of 352 packets that were lost
 
 
-def test_xsens_orientations_without_a_rate_or_without_angles_are_refused(tmp_path):
-    with pytest.raises(InputError, match="sample rate is missing"):
-        read_reference(data_path("makers", "xsens_mtmanager", "MT_01200454_000-000_00B40DE4.txt"))
-    text = (
-        "// Update Rate: 100.0Hz\nPacketCounter\tAcc_X\tAcc_Y\tAcc_Z\n" + "1\t0\t0\t9.8\n2\t0\t0\t9.8\n3\t0\t0\t9.8\n"
-    )
-    with pytest.raises(FileFormatError, match="expected columns of orientations, got none"):
-        read_reference(put(tmp_path, "m.txt", text))
+def test_quaternions_beside_readings_of_a_maker_are_read_with_a_map():
+    path = data_path("makers", "xsens_mtmanager", "skin_data_xsens.txt")
+    layout = TextLayout(delimiter="\t", skip_rows=4)
+    quaternion = tuple(f"Quat_{part}" for part in "wxyz")
+    poses = read_reference(path, reference_map(quaternion=quaternion, sample_rate_hz=50.0, layout=layout))
+    level = rotate(poses.q_nb, read_record(path).accel).mean(axis=0)
+    np.testing.assert_allclose(level, [-0.06, -0.03, 9.75], atol=0.006)  # SOURCE.md

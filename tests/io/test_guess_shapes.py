@@ -53,6 +53,30 @@ def test_six_rows_of_an_array_are_accelerometers_and_gyroscopes(tmp_path):
     np.testing.assert_array_equal(record.gyro, GYRO)
 
 
+def test_three_rows_of_an_array_are_three_axes(tmp_path):
+    savemat(tmp_path / "a.mat", {"acc": ACCEL.T, "gyr": GYRO.T, "t": TIME})
+    record = read_as_proposed(tmp_path / "a.mat").record
+    np.testing.assert_array_equal(record.accel, ACCEL)
+    np.testing.assert_array_equal(record.gyro, GYRO)
+
+
+@pytest.mark.parametrize(("row", "stamp", "count"), [(100, TIME[99], N), (100, TIME[50], N - 49)])
+def test_a_map_of_stamps_that_repeat_or_step_back_is_read(tmp_path, row, stamp, count):
+    time = TIME.copy()
+    time[row] = stamp
+    time[row + 1 :] -= TIME[row] - stamp - (stamp < TIME[99]) * 0.01
+    savemat(tmp_path / "a.mat", {"all_time": time, "acc": ACCEL, "gyr": GYRO})
+    assert len(read_as_proposed(tmp_path / "a.mat").record) == count
+
+
+def test_names_that_repeat_under_the_names_of_sensors_are_mapped_by_position(tmp_path):
+    rows = "".join(
+        ",".join(f"{x:.4f}" for x in (*gyro, *accel)) + "\n" for gyro, accel in zip(GYRO, ACCEL, strict=True)
+    )
+    (tmp_path / "a.csv").write_text(f"Gyroscope,,,Accelerometer,,\nX,Y,Z,X,Y,Z\n{rows}")
+    assert describe(tmp_path / "a.csv").example[0] == "columns = { accel = [3, 4, 5] }"
+
+
 def test_rotation_matrices_are_a_reference(tmp_path):
     truth = Rotation.random(N, random_state=1)
     savemat(tmp_path / "r.mat", {"R": np.moveaxis(truth.as_matrix(), 0, 2), "t": TIME})

@@ -29,9 +29,7 @@ from undrift.errors import FileFormatError, InputError
 from undrift.io.column_map import READ_SETTINGS, ColumnMap
 from undrift.io.columns import RawTable
 from undrift.io.labelled import Label, Sheet, label_of, open_sheet, sheet_table, unit_for, with_manual
-from undrift.io.reference import ReferenceMap, of_matrices, read_text_poses, reference_of
 from undrift.io.text import open_text, parse_text
-from undrift.record import Reference
 from undrift.units import si_factor
 
 Pattern = Annotated[re.Pattern[str], BeforeValidator(lambda text: re.compile(text, re.MULTILINE))]
@@ -79,7 +77,6 @@ class Dialect(MapTable):
     whole_names: bool = False  # A sensor keeps its name in a file of one sensor
     repair_time: bool = False  # Stamps may repeat: such rows are left out and counted
     thermometer: MapThermometer | None = None
-    poses: bool = False  # The table may hold orientations, which are read as a reference
 
     def recognises(self, path: Path, head: bytes) -> bool:
         """Return whether the first bytes of a file, or the names in a folder, are of this maker."""
@@ -92,15 +89,6 @@ class Dialect(MapTable):
         sheet = self._labelled(open_sheet(self._file(path)))
         table = sheet_table(self._with_clock(sheet, how.sample_rate_hz), how)
         return self._with_thermometer(table, sheet)
-
-    def read_poses(self, path: Path, columns: ReferenceMap | None = None) -> Reference:
-        """Read the orientations of a table."""
-        path = self._file(path)
-        if not self.poses:
-            return read_text_poses(path, columns)
-        return poses_of(
-            self._with_clock(self._labelled(open_sheet(path)), None if columns is None else columns.sample_rate_hz)
-        )
 
     def _file(self, path: Path) -> Path:
         if not path.is_dir():
@@ -196,11 +184,6 @@ def dialects() -> dict[str, Dialect]:
     }
 
 
-def may_hold_poses(name: str) -> bool:
-    """Return whether a table of a shipped map may hold orientations."""
-    return name in dialects() and dialects()[name].poses
-
-
 def _labels_of_lines(pattern: re.Pattern[str], sheet: Sheet) -> tuple[Label | None, ...]:
     """Return the labels from the lines before the header. Each channel has a column of time before it."""
     channels = {match["name"]: match for text in sheet.preamble if (match := pattern.search(text))}
@@ -232,34 +215,3 @@ def _lost(packets: FloatArray) -> tuple[str, ...]:
     return (
         (f"{lost} of {int(packets[-1]) + 1} packets lost by PacketCounter, seen as gaps in time",) if lost > 0 else ()
     )
-
-
-_ORIENTATIONS = (  # columns of a quaternion, a matrix or Euler angles (Z-Y-X), sensor to level
-    ["^Quat_(w|q0)$", "^Quat_(x|q1)$", "^Quat_(y|q2)$", "^Quat_(z|q3)$"],
-    [rf"^Mat\[{i}\]\[{j}\]$" for i in (1, 2, 3) for j in (1, 2, 3)],
-    ["^Yaw$", "^Pitch$", "^Roll$"],
-)
-
-
-def poses_of(sheet: Sheet) -> Reference:
-    """Return the orientations of a sheet with a clock, as a quaternion, a matrix or Euler angles state them."""
-    from scipy.spatial.transform import Rotation
-
-    if sheet.clock is None:
-        raise InputError(
-            f"{sheet.path}: the sample rate is missing. Set sample_rate_hz in a map.",
-            missing="sample_rate_hz",
-        )
-    forms = ([sheet.position(pattern) for pattern in patterns] for patterns in _ORIENTATIONS)
-    columns = next(([k for k in form if k is not None] for form in forms if None not in form), None)
-    if columns is None:
-        raise FileFormatError(f"{sheet.path}: expected columns of orientations, got none. Export orientations.")
-    values = sheet.array(columns)
-    if len(columns) == 9:
-        values = of_matrices(sheet.path, values)
-    elif len(columns) == 3:
-        finite, degrees = np.isfinite(values).all(axis=1), values
-        values = np.full((len(degrees), 4), np.nan)
-        values[finite] = Rotation.from_euler("ZYX", degrees[finite], degrees=True).as_quat(scalar_first=True)
-    time, notes = sheet.counted(sheet.columns(*sheet.counters))
-    return reference_of(sheet.path, time, values, up=None, name=", ".join(notes))

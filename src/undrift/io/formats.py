@@ -237,7 +237,7 @@ def _in_turn() -> Iterator[tuple[str, Format]]:
     """Yield the formats in the order in which they are tried. Formats of other packages are loaded only when needed."""
     yield from ((name, entry) for name, entry in FORMATS.items() if not entry.generic)
     for name, dialect in dialects().items():
-        yield name, Format(dialect.recognises, record=dialect.read, reference=dialect.read_poses)
+        yield name, Format(dialect.recognises, record=dialect.read, reference=read_text_poses)
     yield from ((name, entry) for name, entry in outside_formats().items() if name not in FORMATS)
     yield from ((name, entry) for name, entry in FORMATS.items() if entry.generic)
 

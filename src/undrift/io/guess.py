@@ -26,7 +26,6 @@ from undrift.io.reference import NEARLY_UNIT
 from undrift.io.text import Text, open_text, parse_text
 
 _FORCE = re.compile(r"GRF|(?<![A-Za-z])COP|FREEMOMENT|^[FM][xyz]\[")
-_PLACE = re.compile(r"^(COG|.*[._](ankle|knee|hip))[._ ][xyz]$", re.IGNORECASE)
 _QUATERNION = re.compile(
     r"(?i)^(?P<stem>.*?)(?P<part>[wxyz]|[0-3])\]?( element)?$"
 )  # w, qw, q0, seg2_quat_w, QUATERNION_0
@@ -42,7 +41,9 @@ _UNITS = {  # units that a name may state, or "?" for none, which a reader refus
     "accel": (("m/s2", r"m[_/]?s\^?2"), ("mg", r"\bmg\b|_mg\b"), ("g", r"\(g\)|_g\b"), ("count", r"raw|count|lsb")),
     "temp": (("degC", r"deg ?c|celsius|degrees c"), ("count", r"raw|count|lsb")),
 }
-_NO_SENSOR = re.compile(r"quat|euler|pos|vel|force|moment|angle|roll|pitch|yaw|mat\[", re.IGNORECASE)
+_NO_SENSOR = re.compile(
+    r"(?i)quat|euler|pos|vel|force|moment|angle|roll|pitch|yaw|mat\[|COG|ankle|knee|hip|mag|a\.u\.|uT|gauss|\(G\)"
+)
 # What |a| at rest may be in each unit; an integer sensor of +-2 to +-16 g reads 1,000 to 20,000 counts and more
 _AT_REST = {"g": (0.8, 1.25), "m/s2": (7.8, 12.3), "mg": (800.0, 1250.0), "count": (1250.0, 1e7)}
 _STEP = {"s": (2e-4, 0.2), "ms": (0.2, 200.0), "us": (200.0, 2e5), "ns": (2e5, 2e8)}  # between samples, 5 Hz to 5 kHz
@@ -54,6 +55,7 @@ _TEMP_C, _WARM_C = (-30.0, 90.0), 12.0
 _STATED_RATE = re.compile(
     r"(?i)^\W*(?:fs|sampl\w*[ _]?(?:rate|freq\w*)|output ?rate|rate)\b[^\d\n]{0,12}(\d+(?:\.\d+)?)"
 )
+_COUNTER = re.compile(r"(?i)^(packet|sample|frame)?[ _]?counter$")
 _STATED_NAME = re.compile(r"(?i)(^|[._])(fs|sampl\w*_?(rate|freq\w*)(_hz)?)$")
 _OF_GYRO = re.compile(r"(?i)^(?!.*(acc|imu)).*(gyr|angular)")  # the name of a file of one sensor
 _NAMED = {
@@ -88,23 +90,21 @@ def foreign_kind(text: Text) -> str | None:
     """Return the kind of a table that is not a recording of an inertial sensor."""
     names = [name for name in text.names if name.strip()]
     listing = ", ".join(names[:4])
-    for pattern, what in ((_FORCE, "a force plate's table"), (_PLACE, "a table of positions")):
-        if any(pattern.search(name) for name in names):
-            return f"{what} ({listing}, ...), not a recording of an inertial sensor"
+    if any(_FORCE.search(name) for name in names):
+        return f"a force plate's table ({listing}, ...), not a recording of an inertial sensor"
     lines = text.head.decode("utf-8", "replace").splitlines()
     first = lines[text.skip : text.skip + 2]  # one may be of units
     rows = [_cells(line, text.layout.delimiter, text.layout.decimal) for line in first]
     if rows and all(sum(is_number(cell, empty=True) for cell in row) < 0.5 * len(row) for row in rows):
         return f"a table of text ({len(names)} columns: {listing}, ...), not a recording"
     triples = triples_of(text.names)
+    if triples and all(_NO_SENSOR.search(name) for triple in triples for name in triple):
+        return f"a table of other quantities ({listing}, ...), not a recording of an inertial sensor"
     if text.layout.header and not triples:
         return (
             f"a table without names of three axes ({', '.join(names[:8])}). A recording of an inertial sensor needs "
-            f"a map by "
-            "positions."
+            "a map by positions."
         )
-    if triples and all(_is_magnetic(name) for triple in triples for name in triple):
-        return f"a magnetometer's table ({listing}), without gyroscope or accelerometer"
     return None
 
 
@@ -130,20 +130,23 @@ def quaternion_of_names(names: tuple[str, ...]) -> tuple[str, ...] | None:
 class MapProposal:
     """The map that a table seems to need. A unit or rate that nothing shows is "?", for a person to fill in."""
 
-    columns: dict[str, Any]  # column or columns of each channel; of orientations: time, quaternion
+    columns: dict[str, Any]  # column or columns of each channel; of orientations: time or counter, quaternion
     units: dict[str, str]
     reasons: dict[str, str] = field(default_factory=dict)  # figure that suggests a unit, if no name states it
     rate: str = ""  # sample rate of a table without time, Hz, with its source; "?" if nothing states it
     layout: dict[str, Any] = field(default_factory=dict)  # what of a text layout is not usual
     others: str = ""  # first columns of other sensors in the file, which are not taken
+    clock: str = ""  # key for time stamps that a reader refuses without it
 
     def lines(self) -> tuple[str, ...]:
         """Return the lines of the map."""
         why = "; ".join(f"{channel} by {reason}" for channel, reason in self.reasons.items())
-        taken = f"  # one sensor; not taken: {self.others}" * bool(self.others)
-        lines = [f"columns = {{ {_table(self.columns)} }}{taken}"]
+        lines = [
+            f"columns = {{ {_table(self.columns)} }}" + f"  # one sensor; not taken: {self.others}" * bool(self.others)
+        ]
         lines += [f"units = {{ {_table(self.units)} }}" + f"  # proposed: {why}" * bool(why)] if self.units else []
         lines += [f"sample_rate_hz = {self.rate}"] if self.rate else []
+        lines += [self.clock] if self.clock else []
         layout = {key: value for key, value in self.layout.items() if key != "drop_bad_rows"}
         if "quaternion" in self.columns:
             return (*lines, *([f"layout = {{ {_table(layout)} }}"] if layout else []))
@@ -166,17 +169,21 @@ def propose_poses(text: Text, names: tuple[str, ...]) -> MapProposal | None:
     length = np.linalg.norm(read(list(four)), axis=1)
     if not len(length) or abs(float(np.median(length)) - 1.0) > NEARLY_UNIT:
         return None
+    layout, quaternion = _unusual(text.layout), {"quaternion": list(four)}
     clock = next((name for name in names if _NAMED["time"].match(name.strip())), None)
-    layout = _unusual(text.layout)
     if clock is None:
-        return MapProposal(columns={"quaternion": list(four)}, units={}, rate=_stated_rate(text, ()), layout=layout)
+        counter = next((name for name in names if _COUNTER.search(name)), None)  # it shows the samples that were lost
+        columns = quaternion if counter is None else {"counter": counter, **quaternion}
+        regular = "" if counter is None else 'clock = "regular"'
+        return MapProposal(columns=columns, units={}, rate=_stated_rate(text, ()), layout=layout, clock=regular)
     unit = _unit_of("time", clock)
-    found = _units_by_size(read, {"time": [clock]}, {"time": unit})
+    proposed = _units_by_size(read, {"time": [clock]}, {"time": unit})
     return MapProposal(
-        columns={"time": clock, "quaternion": list(four)},
-        units={"time": found.get("time", (unit, ""))[0]},
-        reasons={channel: why for channel, (_, why) in found.items()},
+        columns={"time": clock, **quaternion},
+        units={"time": proposed.get("time", (unit, ""))[0]},
+        reasons={channel: why for channel, (_, why) in proposed.items()},
         layout=layout,
+        clock=_order_of(read([clock])),
     )
 
 
@@ -186,9 +193,16 @@ def _unusual(layout: TextLayout) -> dict[str, Any]:
     return {key: value for key in keys if (value := getattr(layout, key)) != getattr(TextLayout(), key)}
 
 
-def _is_magnetic(name: str) -> bool:
-    label = label_of(name)
-    return re.search(r"a\.u\.|uT|gauss|\(G\)", name) is not None or (label is not None and label.channel == "mag")
+def _order_of(time: FloatArray) -> str:
+    """Return the key of a map for stamps that repeat or step back."""
+    steps = np.diff(time[:, 0])
+    if (steps < 0.0).any():
+        return f"repair_time = true  # {int((steps <= 0.0).sum())} stamps repeat or step back: their rows are left out"
+    return (
+        f'clock = "regular"  # {int((steps == 0.0).sum())} stamps repeat, as those of a host'
+        if (steps == 0.0).any()
+        else ""
+    )
 
 
 def triples_of(names: tuple[str, ...]) -> tuple[tuple[str, str, str], ...]:
@@ -214,27 +228,35 @@ def propose(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> MapPro
     """Return the map that a table of readings seems to need."""
     below = [] if text is None else text.head.decode("utf-8", "replace").splitlines()[text.skip : text.skip + 1]
     cells = [] if text is None or not below else _cells(below[0], text.layout.delimiter, text.layout.decimal)
-    row = {} if text is None else dict(zip(text.names, cells, strict=False))
     nameless = text is not None and not text.layout.header and names[-1].isdecimal()
     columns, others = (_by_position(text), "") if text is not None and nameless else _by_name(names, text, arrays)
     listed = {channel: value if isinstance(value, list) else [value] for channel, value in columns.items()}
     units = {channel: _unit_of(channel, *map(str, value)) for channel, value in listed.items()}
-    if units.get("time") == "?" and is_date(row.get(str(listed["time"][0]), "")):
+    positions = {channel: [_position(names, column) for column in value] for channel, value in listed.items()}
+    first = {channel: [cells[k] for k in value if k < len(cells)] for channel, value in positions.items()}
+    if units.get("time") == "?" and any(map(is_date, first["time"])):
         units["time"] = "date"
-    found = _units_by_size(partial(_readings, text, dict(arrays)), listed, units)
+    read = partial(_readings, text, dict(arrays))
+    proposed = _units_by_size(read, listed, units)
     layout = {} if text is None else _unusual(text.layout)
-    mapped = [row.get(str(column), "") for value in listed.values() for column in value]
     if text is not None and text.layout.header:  # a row of units below the header
+        mapped = [cell for value in first.values() for cell in value]
         words = any(not is_number(cell, empty=True) and not is_date(cell) for cell in mapped)
         layout |= {"drop_bad_rows": True} if words else {}
+    dated = units.get("time") == "date"
     return MapProposal(
         columns=columns,
-        units=units | {channel: unit for channel, (unit, _) in found.items()},
-        reasons={channel: why for channel, (_, why) in found.items()},
+        units=units | {channel: unit for channel, (unit, _) in proposed.items()},
+        reasons={channel: why for channel, (_, why) in proposed.items()},
         rate="" if "time" in columns else _stated_rate(text, arrays),
         layout=layout,
         others=others,
+        clock=_order_of(read(listed["time"])) if "time" in columns and not dated else "",
     )
+
+
+def _position(names: tuple[str, ...], column: Column) -> int:
+    return column if isinstance(column, int) else names.index(column) if column in names else len(names)
 
 
 def _by_name(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> tuple[dict[str, Any], str]:
@@ -246,7 +268,7 @@ def _by_name(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> tuple
             keys[channel] = [f"{six[0]}[{k}]" for k in range(start, start + 3)]
     choices = threes or {triple[0]: list(triple) for triple in triples_of(names)}
     labels = {name: label_of(name) or label_of(re.sub(r"\d+$", "", name)) for name in choices}  # ax1 is ax of a sensor
-    bare = [name for name, label in labels.items() if label is None and not _NO_SENSOR.search(name) and not threes]
+    bare = [name for name, label in labels.items() if label is None and not _NO_SENSOR.search(name)]
     is_gyro_file = text is not None and _OF_GYRO.search(text.path.name) is not None
     for channel, unlabelled in (("gyro", bare if is_gyro_file else []), ("accel", [] if is_gyro_file else bare)):
         labelled = [name for name, label in labels.items() if label is not None and label.channel == channel]
@@ -256,13 +278,29 @@ def _by_name(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> tuple
         )
         if first is not None:
             keys[channel] = choices[first]
+    if text is not None and (repeated := [channel for channel, value in keys.items() if names.count(value[0]) > 1]):
+        threes_at = _repeated_triples(names, keys[repeated[0]])
+        keys = {**keys, repeated[0]: threes_at[next(iter(_gravity_like(text, threes_at)), 0)]}
     for channel, pattern in _NAMED.items():
         name = next((n for n in names if pattern.match(n.strip().rpartition(".")[2])), None)
         if name is not None:
             keys = {channel: name, **keys} if channel == "time" else {**keys, channel: name}
     taken = [value[0] for value in keys.values() if isinstance(value, list)]
     unlabelled = [n for n, x in labels.items() if x is not None and x.channel in ("gyro", "accel") and n not in taken]
-    return keys or {"gyro": ["gx", "gy", "gz"], "accel": ["ax", "ay", "az"]}, ", ".join(unlabelled)
+    return keys, ", ".join(unlabelled)
+
+
+def _repeated_triples(names: tuple[str, ...], axes: list[str]) -> list[list[int]]:
+    """Return the positions of three names that repeat in a header, such as X, Y, Z below the names of sensors."""
+    places = [[k for k, name in enumerate(names) if name == axis] for axis in axes]
+    return [list(triple) for triple in zip(*places, strict=False)]
+
+
+def _gravity_like(text: Text, threes: list[list[int]]) -> dict[int, float]:
+    """Return which triples of columns may read gravity, and how far the length of each departs from its median."""
+    lengths = [_median_length(_readings(text, {}, [*axes])) for axes in threes]
+    at_rest = [any(low <= length < high for low, high in _AT_REST.values()) for length, _ in lengths]
+    return {k: spread for k, (_, spread) in enumerate(lengths) if at_rest[k]}
 
 
 def _units_by_size(
@@ -363,7 +401,8 @@ def _by_position(text: Text) -> dict[str, Any]:
     lines = [line for line in text.head.decode("utf-8", "replace").splitlines()[text.skip :] if line.strip()][:8]
     first = [_cells(line, text.layout.delimiter, text.layout.decimal)[0] for line in lines]
     numbers = [float(cell) for cell in first if cell and is_number(cell, empty=True)]
-    grows = (all(b > a for a, b in pairwise(numbers)) and len(numbers) > 1) or all(map(is_date, first))
+    rising = len(numbers) > 1 and all(b > a for a, b in pairwise(numbers)) and len(text.names) not in (3, 6)
+    grows = rising or all(map(is_date, first))
     columns = {k: _readings(text, {}, [k]) for k in range(grows, len(text.names))}
     free = [k for k, values in columns.items() if len(values) and not _counts(values)]
     keys: dict[str, Any] = {"time": 0} if grows else {}
@@ -374,11 +413,8 @@ def _by_position(text: Text) -> dict[str, Any]:
         return {}
     if _OF_GYRO.search(text.path.name):
         return keys | {"gyro": threes[0]}
-    lengths = [_median_length(_readings(text, {}, [*axes])) for axes in threes]
-    gravity_like = [
-        k for k, (length, _) in enumerate(lengths) if any(low <= length < high for low, high in _AT_REST.values())
-    ]
-    accel = min(gravity_like, key=lambda k: lengths[k][1], default=0)
+    gravity_like = _gravity_like(text, threes)
+    accel = min(gravity_like, key=lambda k: gravity_like[k], default=0)  # the steadiest
     keys["accel"] = threes[accel]
     return keys | ({"gyro": threes[1 - accel]} if len(threes) > 1 else {})
 

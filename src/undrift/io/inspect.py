@@ -22,7 +22,6 @@ from undrift.io.arrays import Arrays, mat_arrays
 from undrift.io.clock import host_stamps
 from undrift.io.column_map import AXES, READ_SETTINGS, ColumnMap, is_native, read_map
 from undrift.io.columns import ReadResult, native_columns
-from undrift.io.dialects import may_hold_poses
 from undrift.io.formats import Format, format_of, read_counted, read_markers, read_reference
 from undrift.io.guess import MapProposal, foreign_kind, propose, propose_poses, sniff, triples_of
 from undrift.io.labelled import states_units
@@ -193,6 +192,7 @@ def _ends_range(column: FloatArray, limit: float, stuck: IntArray) -> bool:
 
 _MISSING = ("sensor", "sample_rate_hz", "columns", "readings")  # facts that an intact file may omit
 _TABLES = ("mat", "parquet", "csv", "log")  # kinds of file from which a map makes a recording
+_POSES = "a table of orientations, which is read as a reference with a map"
 _REGULAR = 0.005  # mean and usual rate that differ by less are one figure
 
 
@@ -263,11 +263,11 @@ def describe(path: str | Path, column_map: ColumnMap | None = None, *, up: Up | 
         missing = error.numbers.get("missing")
         if missing not in _MISSING:
             raise
-        if missing == "readings" and may_hold_poses(name):
-            return _reference(path, name)
         columns, proposal = error.numbers.get("names", ()), error.numbers.get("proposal")
         column_names = tuple(map(str, columns)) if isinstance(columns, tuple) else ()
         description = _not_read(path, name, column_names, str(error).removeprefix(f"{path}: "), missing=str(missing))
+        if missing == "readings" and (poses := propose_poses(text := sniff(path), text.names)) is not None:
+            return replace(description, summary=_POSES, columns=text.names, proposal=poses)
         return replace(description, proposal=MapProposal(**proposal)) if isinstance(proposal, dict) else description
     description = describe_record(read, path=str(path), format_name=name)
     if not how.columns and name in ("csv", "parquet"):
@@ -360,8 +360,7 @@ def _needs(path: Path, name: str) -> Description | None:
     if native_reference(names) is not None:
         return _reference(path, name)
     if text is not None and (poses := propose_poses(text, names)):
-        what = "a table of orientations, which is read as a reference with a map"
-        return replace(_not_read(path, name, names, what), proposal=poses)
+        return replace(_not_read(path, name, names, _POSES), proposal=poses)
     if (foreign := _no_recording(names, text, arrays)) is not None:
         return _not_read(path, name, names, foreign)
     proposal = propose(names, text, arrays)
@@ -410,16 +409,13 @@ def _reference(path: Path, name: str, columns: ReferenceMap | None = None) -> De
         reference = read_reference(path, columns)
     except InputError as error:
         body_names = error.numbers.get("names")
-        if error.numbers.get("missing") == "sample_rate_hz":
-            return _not_read(path, name, (), str(error).removeprefix(f"{path}: "), missing="sample_rate_hz")
         if not isinstance(body_names, tuple):
             raise
         names = tuple(map(str, body_names))
         reference = read_reference(path, labels=names[:1])
     valid_count = int(reference.valid.sum())
     remark = f" of each of {len(names)} bodies (choose one of {', '.join(names)})" if names else ""
-    has_reading = columns is not None or may_hold_poses(name)
-    remark += f", {reference.name.removeprefix(path.name).strip()}" if has_reading else ""
+    remark += "" if columns is None else f", {reference.name.removeprefix(path.name).strip()}"
     return Description(
         path=str(path),
         kind="reference",
