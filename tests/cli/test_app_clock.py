@@ -31,7 +31,7 @@ def test_validate_is_as_good_on_the_fitted_clock_as_on_the_true_one(undrift, ben
         known = ("--reference", bench / "reference.parquet", "--calibration", bench / "calibration.json")
         answer = undrift("validate", path, *known, *words, "-o", tmp_path / name, "--json")
         if answer.code == 0:
-            rms[name] = answer.json()["trials"][0]["rmse_total_deg"]
+            rms[name] = answer.data()["trials"][0]["rmse_total_deg"]
         else:
             refused[name] = answer.err
     show("total error with the true and the fitted clock, deg rms", np.round(list(rms.values()), 4), "within 0.01")

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from testkit.terminal import WIDTHS, Terminal, on
 from undrift.cli import common
 from undrift.cli.app import run
-from undrift.commands.validate import SHOWN
 
 pytestmark = pytest.mark.usefixtures("computed_once")
 
@@ -67,10 +66,6 @@ def test_each_number_of_the_json_that_a_table_shows_is_there_to_its_last_digit(u
         for row, offset in zip(told[name]["matrix"], told[name]["offset"], strict=True):
             wanted += [*row, offset]
     assert [f"{value:.{len(text.partition('.')[2])}f}" for value, text in zip(wanted, shown, strict=True)] == shown
-
-    words = ("validate", bench / "corrected.parquet", "--reference", bench / "reference.parquet")
-    (trial,) = undrift.good(*words, "--json").json()["trials"]
-    assert {trial["recording"], *(f"{trial[key]:.2f}" for key in SHOWN)} <= set(on_a_terminal(width, *words))
 
     words = ("noise", bench / "corrected.parquet", "--rest-s", "0:5")
     rows, shown = undrift.good(*words, "--json").json(), {word.strip("[],") for word in on_a_terminal(width, *words)}

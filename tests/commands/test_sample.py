@@ -42,7 +42,7 @@ def test_the_sample_runs_through_the_commands(undrift, tmp_path, monkeypatch):
     undrift.good("correct", "sit_to_stand.parquet", "--calibration", "tables.json", "-o", "corrected.parquet", "--json")
     undrift.good("orient", "corrected.parquet", "-o", "angles.csv", "--json")
     words = ("--reference", "sit_to_stand_optics.parquet", "--calibration", "tables.json", "--json")
-    trial = undrift.good("validate", "sit_to_stand.parquet", *words).json()["trials"][0]
+    trial = undrift.good("validate", "sit_to_stand.parquet", *words).data()["trials"][0]
     assert trial["max_abs_pitch_deg"] < 0.5  # three times what the first run showed: 0.12
     undrift.good("certificate", "tables.json", "-o", "certificate.html", "--json")
     assert Path("certificate.html").read_text("utf-8").startswith("<!doctype html>")

@@ -32,7 +32,7 @@ def test_both_maps_are_proposed_and_validate_takes_them(undrift, tmp_path, recor
     words = ("validate", own, "--map", tmp_path / "own.toml", "--reference", true, "--offset", "none")
     answer = undrift(*words, "--reference-map", tmp_path / "true.toml", "--max-lag-s", "1300", "--json")
     assert answer.code == 0, answer
-    (trial,) = answer.json()["trials"]
+    (trial,) = answer.data()["trials"]
     low, high = raw_deg  # SOURCE.md: 48.0 deg over the whole trial, 1.4 to 2.4 deg
     show(f"{recording[1]}: end error of raw readings, deg", trial["end_total_deg"], f"{low:g}-{high:g}")
     assert low < trial["end_total_deg"] < high

@@ -28,7 +28,7 @@ def folder(tmp_path_factory):
 
 def test_people_by_tasks_from_files_to_a_page(folder, tmp_path, capsys):
     assert run(["validate", str(folder), "--trials", "trials.csv", "-o", str(tmp_path / "out"), "--json"]) == 0
-    answer = json.loads(capsys.readouterr().out)
+    answer = json.loads(capsys.readouterr().out)["data"]
     assert [trial["person"] for trial in answer["trials"]] == ["pp001", "pp001", "pp002", "pp002", "pp003", "pp003"]
     rows = {(row["group"], row["level"], row["method"]): row for row in answer["summaries"]}
     assert rows["all", "rest", "strapdown"]["mean_deg"] < 0.3
@@ -38,7 +38,7 @@ def test_people_by_tasks_from_files_to_a_page(folder, tmp_path, capsys):
     page = (tmp_path / "out" / "report.html").read_text()
     assert "Methods, to cite" in page
     assert "Agreement with the optics" not in page  # three people
-    assert json.loads((tmp_path / "out" / "levels.json").read_text())["quantity"] == answer["quantity"]
+    assert json.loads((tmp_path / "out" / "levels.json").read_text())["data"]["quantity"] == answer["quantity"]
 
 
 @pytest.mark.parametrize(

@@ -195,6 +195,7 @@ def _called(words: list[object]) -> tuple[int, str, str]:
 def _command(words: list[object]) -> Told:
     code, out, err = _called(words)
     answer = json.loads(out) if out.strip() else {}
+    answer |= answer.get("data") or {}
     error = ((answer.get("error") or {}).get("text") or err.strip()) if code > 1 else ""
     return Told(code, error, tuple(dict.fromkeys(texts_of(answer))), tuple(texts_of(answer, "info")), answer)
 

@@ -34,6 +34,12 @@ class Answer:
         assert isinstance(held, dict)
         return held
 
+    def data(self) -> dict[str, Any]:
+        """Return the values for programs of the object on stdout."""
+        data = self.json()["data"]
+        assert isinstance(data, dict)
+        return data
+
 
 class Undrift:
     """Caller of undrift that captures the output. Terminals of 60, 80 and 120 columns must show the same."""

@@ -130,17 +130,15 @@ def _summary(
         pictures=(figure_of("figures:draw_levels", trials),),
         verdict=fit.drift.verdict,
         findings=trials[-1].findings,  # of the recommended level: tables remove the remaining errors of constants
-        sections=(_worn_section(trials), _checks(checks), *_details(run, fit, trials), _more()),
+        sections=(_worn_section(trials), _checks(checks), *_details(run, fit), _more()),
         written=(out,),
         after=(f"look at {out / 'report.html'}",),
         failed=not all(check.passed for check in checks),
     )
 
 
-def _details(run: "BenchRun", fit: "BenchFit", trials: tuple["Trial", ...]) -> Iterator[Section]:
-    from undrift.commands.validate import trials_section
-
-    for section in (trials_section(trials), _bench(run), _rates(run), *calibration_sections(fit.constant)):
+def _details(run: "BenchRun", fit: "BenchFit") -> Iterator[Section]:
+    for section in (_bench(run), _rates(run), *calibration_sections(fit.constant)):
         yield replace(section, folded=True)
 
 

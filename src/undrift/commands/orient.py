@@ -102,7 +102,12 @@ def orient(
         findings=[*calibration_findings(model), *findings, *orientation.findings],
         figures=[lambda: draw_orientation(orientation)],
         written=[output],
-        data={"samples": len(orientation.time), "tilt_basis": orientation.tilt.basis, "still_s": _still_s(orientation)},
+        data={
+            "samples": len(orientation.time),
+            "still_s": _still_s(orientation),
+            "tilt_basis": orientation.tilt.basis,
+            "offset_dps": orientation.offset / RADIAN_PER_DEGREE,
+        },
     )
 
 
