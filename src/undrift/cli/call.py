@@ -55,6 +55,7 @@ def app() -> App:
 def call(arguments: Sequence[str]) -> int:
     """Run the command that the arguments name, and return the exit code."""
     root = app()
+    root.meta.suppress_keyboard_interrupt = False
 
     @root.meta.default
     def run(

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 from undrift.base.options import Files, Output, verb
 from undrift.base.summary import Drawing, Result, Section, Summary, at, figure_of, number, rows_section
 from undrift.commands import Progress, part_of, reading, silent
-from undrift.commands.batch import of_folder
 from undrift.commands.calibration_file import choose_calibration
 from undrift.commands.files import (
     NamedRest,
@@ -24,6 +23,7 @@ from undrift.commands.files import (
     name_of,
     named_columns,
 )
+from undrift.commands.old_batch import of_folder
 from undrift.errors import InputError
 from undrift.units import STANDARD_GRAVITY, si_factor
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 from undrift.base.options import Files, OptionalOutput, Up, WrittenPath, options, verb
 from undrift.base.summary import Drawing, Section, Summary, at, figure_of
 from undrift.commands import Progress, reading, silent
-from undrift.commands.batch import of_folder
 from undrift.commands.files import (
     Opening,
     Place,
@@ -19,6 +18,7 @@ from undrift.commands.files import (
     session_of,
 )
 from undrift.commands.mount import sides_of
+from undrift.commands.old_batch import of_folder
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE
 

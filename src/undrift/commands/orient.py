@@ -6,6 +6,7 @@ from typing import Literal
 import numpy as np
 
 from undrift.base.options import Flag, Output, Side
+from undrift.commands.batch import each_recording
 from undrift.commands.calibration_file import choose_calibration
 from undrift.commands.files import (
     NamedRest,
@@ -27,6 +28,7 @@ from undrift.screen import progress, reading
 from undrift.units import RADIAN_PER_DEGREE
 
 
+@each_recording(".parquet")
 def orient(
     recording: Path,
     /,
@@ -46,8 +48,8 @@ def orient(
     Parameters
     ----------
     recording : Path
-        A corrected recording, or a raw recording with its calibration. For a folder of recordings, the output is a
-        folder.
+        A corrected recording, or a raw recording with its calibration. For several recordings, or a folder of them,
+        the output is a folder.
     output : Path
         File for time, quaternion and angles (.parquet, .csv or .csv.gz), or for quaternions (.sto, OpenSense).
     calibration : Path or None
