@@ -20,7 +20,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -86,7 +86,6 @@ CALLS = {
         "simulate sit_to_stand --device mpu6050 -o {o}/x.parquet --truth {o}/t.csv --save-device {o}/d.json --report {o}/r.html"
     ),
     "simulate .csv": Call("simulate sit_to_stand --device mpu6050 -o {o}/x.csv --truth {o}/t.parquet"),
-    "simulate session": Call("simulate thermal_ramp --device mpu6050 --sample-rate-hz 5 -o {o}/s", together=True),
     "study": Call("study {b}/study.toml -o {o}/study --workers 1", fresh=True, slow=True),
     "sample": Call("sample {o}/sample", fresh=True, together=True),
     "record .csv": Call("record {device} -o {o}/x.csv --duration-s 5", fresh=True, live=True),
@@ -104,11 +103,12 @@ def make_inputs(folder: Path, *, soak: bool) -> str:
     from testkit.command_line import at_rest
     from testkit.daily_use import DailyUseSettings, draw_day, simulate_daily_use
     from testkit.walking import perfect_calibration, walk
-    from undrift.cli.app import run
     from undrift.io.formats import read_record, write_record
+    from undrift.io.session import write_session
     from undrift.io.store import read_calibration, write_calibration
     from undrift.sim.device.presets import preset, random_device
     from undrift.sim.device.truth import true_calibration
+    from undrift.sim.thermal import ThermalSettings, simulate_thermal_session
 
     make_bench(folder)
     rng = np.random.default_rng(8)
@@ -125,16 +125,17 @@ def make_inputs(folder: Path, *, soak: bool) -> str:
     (folder / "study.toml").write_text(STUDY)
     first = read_calibration(folder / "calibration.json")
     shutil.copyfile(broad_file("32_disturbed_attached_magnet_1cm"), folder / "broad.parquet")
-    soaks = [f"simulate thermal_soak --device mpu6050 --sample-rate-hz 5 -o {folder}/soak"] * soak
+    if soak:
+        bench = replace(ThermalSettings().bench, sample_rate_hz=5.0)
+        settings = ThermalSettings(bench=bench)
+        session = simulate_thermal_session("soak", preset("mpu6050"), rng=np.random.default_rng(0), settings=settings)
+        write_session(session, folder / "soak")
     (folder / "people").mkdir()
     for name in ("trial.parquet", "reference.parquet", "calibration.json"):
         shutil.copy(folder / name, folder / "people")
     (folder / "people" / "trials.csv").write_text(TRIALS)
     write_record(walk(rng, q_ab=np.array([1.0, 0.0, 0.0, 0.0]), bouts=3), folder / "walk.parquet")
     write_calibration(perfect_calibration(), folder / "perfect.json")
-    for words in soaks:
-        with contextlib.redirect_stdout(io.StringIO()):
-            assert run(words.split()) in (0, 1), words
     return first.device
 
 

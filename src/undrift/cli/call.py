@@ -28,7 +28,12 @@ if TYPE_CHECKING:
     from cyclopts.help import HelpPanel
     from cyclopts.help.protocols import HelpFormatter
 
-MOVED = {"orient": "orient:orient", "validate": "validate:validate"}  # the module and the function of each command
+MOVED = {
+    "orient": "orient:orient",
+    "validate": "validate:validate",
+    "simulate": "simulate:simulate",
+    "study": "study:study",
+}  # the module and the function of each command
 DISPLAY = Group("Display", sort_key=99)
 
 

@@ -177,7 +177,7 @@ def _worn_section(trials: tuple["Trial", ...]) -> Section:
     """Return the text about the worn trial."""
     import numpy as np
 
-    from undrift.commands.study_note import NOTE, SLOPE_OF_THE_NOTE
+    from undrift.report.study import NOTE, SLOPE_OF_THE_NOTE
     from undrift.study.virtual_bench import EXCURSION_K
 
     largest = [trial.figures.max_abs_pitch_deg for trial in trials]
