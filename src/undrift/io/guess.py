@@ -23,7 +23,7 @@ from undrift.io.column_map import Column, TextLayout
 from undrift.io.columns import is_date, is_number
 from undrift.io.labelled import label_of, marks_of
 from undrift.io.reference import NEARLY_UNIT
-from undrift.io.text import Text, open_text, parse_text
+from undrift.io.text import Text, cells_of, open_text, parse_text
 
 _FORCE = re.compile(r"GRF|(?<![A-Za-z])COP|FREEMOMENT|^[FM][xyz]\[")
 _QUATERNION = re.compile(
@@ -431,5 +431,4 @@ def _filled(line: str, delimiter: str, width: int) -> bool:
 
 
 def _cells(line: str, delimiter: str, decimal: str = ".") -> list[str]:
-    line = line.replace(decimal, ".")
-    return line.split() if delimiter == " " else line.split(delimiter)
+    return cells_of(line.replace(decimal, "."), delimiter)

@@ -7,7 +7,6 @@ A column becomes a Label from its name and unit. Three labels x, y, z of the sam
 missing unit is never added here. Only a maker's reader may add it, and a note reports it.
 """
 
-import csv
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping
@@ -22,7 +21,7 @@ from undrift.errors import FileFormatError, InputError
 from undrift.files import read_bytes
 from undrift.io.column_map import AXES, QUANTITY, ChannelScale, ColumnMap, TextLayout, map_of_channels
 from undrift.io.columns import EPOCH_S, RawTable, in_seconds, is_date, is_number
-from undrift.io.text import Text, packed, parse_text
+from undrift.io.text import Text, cells_of, packed, parse_text
 from undrift.units import DEVICE_UNITS, canonical_unit, si_factor
 
 _HEAD = 1 << 16
@@ -104,7 +103,7 @@ def open_sheet(path: str | Path, *, header: bool = True) -> Sheet:
     sheet = sheet_of(path, read_bytes(path))
     if sheet is None or (header and not any(sheet.names)):
         raise FileFormatError(f"{path}: expected a header line above rows of numbers, got none. Check the export.")
-    first = _cells(sheet.rows.split(b"\n", 1)[0].decode("utf-8", "replace"), sheet.layout.delimiter)
+    first = cells_of(sheet.rows.split(b"\n", 1)[0].decode("utf-8", "replace"), sheet.layout.delimiter)
     if header and not sheet.names[-1] and len(first) == len(sheet.names) and first[-1]:
         raise FileFormatError(
             f"{path}: expected a name for each of {len(first)} columns, got fewer. Repair the header."
@@ -119,7 +118,7 @@ def sheet_of(path: Path, content: bytes) -> Sheet | None:
     raw = raw[:-1] if len(content) > _HEAD else raw
     lines = [line.decode("utf-8", "replace").rstrip("\r") for line in raw]
     delimiter, decimal = marks_of([line for line in lines if line.strip()])
-    table = [_cells(line, delimiter) for line in lines]
+    table = [cells_of(line, delimiter) for line in lines]
     rows = [k for k, cells in enumerate(table) if _is_row(cells, decimal)]
     start = next((k for k in rows if k + 1 in rows or k + 2 in rows or k == len(table) - 1), None)
     if start is None:
@@ -161,18 +160,10 @@ def marks_of(lines: list[str]) -> tuple[str, str]:
     delimiter = next((mark for mark in ";\t," if sum(mark in line for line in body) > 0.8 * len(body)), " ")
     if delimiter == ",":
         return delimiter, "."
-    cells = [cell for line in body for cell in _cells(line, delimiter)]
+    cells = [cell for line in body for cell in cells_of(line, delimiter)]
     commas = sum(bool(re.fullmatch(r"[-+]?\d+,\d+([eE][-+]?\d+)?", cell)) for cell in cells)
     points = sum(bool(re.fullmatch(r"[-+]?\d*\.\d+([eE][-+]?\d+)?", cell)) for cell in cells)
     return delimiter, "," if commas > points else "."
-
-
-def _cells(line: str, delimiter: str) -> list[str]:
-    if delimiter == " ":
-        return line.split()
-    if '"' in line and "\r" not in line:
-        return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [])]
-    return [cell.strip() for cell in line.split(delimiter)]
 
 
 def _is_row(cells: list[str], decimal: str) -> bool:
@@ -312,7 +303,7 @@ def labelled(sheet: Sheet, assumed: Mapping[str, str] | None = None, *, whole_na
         for label in read_labels
     )
     clocks = [k for k, label in enumerate(labels) if label and label.channel == "time"]
-    first = _cells(sheet.rows.split(b"\n", 1)[0].decode("utf-8", "replace"), sheet.layout.delimiter)
+    first = cells_of(sheet.rows.split(b"\n", 1)[0].decode("utf-8", "replace"), sheet.layout.delimiter)
     dated = [k for k in clocks if k < len(first) and is_date(first[k])]
     if dated and not any(label.unit for k in clocks if k not in dated and (label := labels[k])):
         labels = tuple(

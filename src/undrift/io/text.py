@@ -45,7 +45,7 @@ _PIECE = 1 << 24  # bytes that are parsed at a time
 _LINE = 1 << 12  # bytes of the end in which blank lines are looked for
 _INK = re.compile(rb"\S")
 _BLANK_END = re.compile(rb"(?:\n[ \t\r,;]*)+\Z")  # lines at the end without a cell that is filled
-_NUMBER = r"^[ \t\r]*[-+]?(\d+\.?\d*([eE][-+]?\d+)?|\.\d+([eE][-+]?\d+)?|[iI][nN][fF](inity)?)[ \t\r]*$"
+_NUMBER = re.compile(r"[ \t\r]*[-+]?(\d+\.?\d*([eE][-+]?\d+)?|\.\d+([eE][-+]?\d+)?|(?i:inf(inity)?))[ \t\r]*", re.ASCII)
 
 
 def read_csv(path: str | Path, how: ColumnMap = READ_SETTINGS) -> RawTable:
@@ -239,6 +239,15 @@ def open_text(path: str | Path, layout: TextLayout | None = None) -> Text:
     return Text(path=path, content=content, head=head, names=names, layout=layout, skip=skip + layout.header)
 
 
+def cells_of(line: str, delimiter: str) -> list[str]:
+    """Return the cells of a line."""
+    if delimiter == " ":
+        return line.split()
+    quoted = '"' in line and "\r" not in line and len(line) < csv.field_size_limit()
+    cells = next(csv.reader([line], delimiter=delimiter), []) if quoted else line.split(delimiter)
+    return [cell.strip() for cell in cells]
+
+
 def packed(rows: bytes) -> bytes:
     """Return rows with runs of blanks and tabs as one blank, as the parser takes them."""
     return re.sub(rb"^ | $", b"", re.sub(rb"[ \t]+", b" ", rows.replace(b"\r\n", b"\n")), flags=re.MULTILINE)
@@ -278,7 +287,10 @@ def _pieces(text: Text, start: int, size: int, positions: list[int]) -> Iterator
         handle.seek(start)
         while end := handle.readinto(buffer):
             end = buffer.rfind(b"\n", 0, end) + 1 if start + end < size else end  # the rest begins the next piece
-            if not end or (buffer.find(b'"', 0, end) >= 0 and _torn(bytes(buffer[:end]).split(b"\n"))):
+            quotes = buffer.find(b'"', 0, end) >= 0 and any(
+                row.count(b'"') % 2 for row in bytes(buffer[:end]).split(b"\n")
+            )
+            if not end or quotes:  # Arrow would take all rows after a quote that does not close into one cell
                 raise pa.ArrowInvalid("rows that do not end, or quotes that do not close")
             start = handle.seek(start + end)
             if start >= size and (blank := _BLANK_END.search(buffer, max(0, end - _LINE), end)):
@@ -291,40 +303,17 @@ def _pieces(text: Text, start: int, size: int, positions: list[int]) -> Iterator
             read_so_far(text.path, start / size)
 
 
-def _torn(lines: list[bytes], start: int = 0) -> list[int]:
-    """Return the rows whose quotes do not close: Arrow would take all that follows into one cell."""
-    return [number for number, line in enumerate(lines) if number >= start and line.count(b'"') % 2]
-
-
-def _with_closed_quotes(text: Text) -> Text:
-    """Return a text whose rows close the quotes they open: a cell that does not would take in all rows after it, unseen."""
-    lines = (read_bytes(text.path) if text.content is None else text.content).split(b"\n")
-    torn = _torn(lines, text.skip)
-    if torn and not text.layout.drop_bad_rows:
-        raise FileFormatError(
-            f"{text.path}: expected quotes that close in their row, got {lines[torn[0]][:40].decode('utf-8', 'replace')!r} in "
-            f"data row {torn[0] - text.skip + 1} ({len(torn)} such rows). Repair them, or set drop_bad_rows = true in a map "
-            "(`column_map` FILE).",
-            row=torn[0] - text.skip + 1,
-        )
-    for i in torn:
-        lines[i] = b"?"  # a row without its columns: dropped and counted
-    return replace(text, content=b"\n".join(lines)) if torn else text
-
-
-def _parse_rows(text: Text, rows: Any, numbers: list[int] | None, *, bad_row: Any = None, **reading: Any) -> Any:
-    """Parse rows of text. Cells of the columns ``numbers`` become numbers. Without it, all cells stay bytes."""
+def _parse_rows(text: Text, rows: Any, numbers: list[int]) -> Any:
+    """Parse rows of text. Cells of the columns ``numbers`` become numbers."""
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
 
-    names = [str(i) for i in range(len(text.names))]
-    floats = {str(i): pa.float64() for i in numbers or ()}
     return arrow_csv.read_csv(
         pa.BufferReader(rows),
-        read_options=arrow_csv.ReadOptions(column_names=names, **reading),
-        parse_options=arrow_csv.ParseOptions(delimiter=text.layout.delimiter, invalid_row_handler=bad_row),
+        read_options=arrow_csv.ReadOptions(column_names=[str(k) for k in range(len(text.names))]),
+        parse_options=arrow_csv.ParseOptions(delimiter=text.layout.delimiter),
         convert_options=arrow_csv.ConvertOptions(
-            column_types=dict.fromkeys(names, pa.binary()) if numbers is None else floats,
+            column_types={str(k): pa.float64() for k in numbers},
             null_values=EMPTY,
             strings_can_be_null=True,
             check_utf8=False,
@@ -334,61 +323,49 @@ def _parse_rows(text: Text, rows: Any, numbers: list[int] | None, *, bad_row: An
 
 
 def _parse_by_row(text: Text, positions: list[int]) -> RawTable:
-    """Find the bad rows, and drop them or name the first."""
-    import pyarrow as pa
-    from pyarrow import compute as pc
-
-    text = _with_closed_quotes(text)
+    """Parse row by row: drop the bad rows, or raise the error of the first."""
     content = text.content if text.content is not None else read_bytes(text.path)
-    content = content[:-_LINE] + _BLANK_END.sub(b"\n", content[-_LINE:])
-    content = content.decode("utf-8", "replace").encode()  # damaged bytes are named, not met by Arrow
-    ragged: list[Any] = []  # rows with another number of columns
-
-    def skip(row: Any) -> str:
-        ragged.append(row)
-        return "skip"
-
-    try:
-        parsed = _parse_rows(text, content, None, bad_row=skip, skip_rows=text.skip, use_threads=False)
-    except pa.ArrowInvalid as error:
+    lines = re.split(r"\r?\n|\r", _BLANK_END.sub(b"\n", content).decode("utf-8", "replace"))[text.skip :]
+    rows: list[list[Any]] = []
+    numbers: list[int] = []  # of these rows in the file, from 0
+    bad: list[tuple[int, str]] = []
+    for number, line in enumerate(lines):
+        if not line.strip():
+            continue
+        cells = cells_of(line, text.layout.delimiter)
+        wrong = _problem_of(text, line, cells, positions)
+        if wrong:
+            bad.append((number, wrong))
+            continue
+        for k in positions:
+            cells[k] = np.nan if cells[k] in EMPTY else float(cells[k].replace(text.layout.decimal, "."))
+        rows.append(cells)
+        numbers.append(number)
+    if bad and not text.layout.drop_bad_rows:
+        number, wrong = bad[0]
         raise FileFormatError(
-            f"{text.path}: expected rows of text, got something else: {str(error).splitlines()[0]}. Check the file "
-            f"and the delimiter."
-        ) from error
-    if ragged and not text.layout.drop_bad_rows:
-        row = ragged[0]
-        raise FileFormatError(
-            f"{text.path}: expected {row.expected_columns} columns in every row, got {row.actual_columns} in data row "
-            f"{row.number - text.skip} ({row.text[:40]!r}, {len(ragged)} such rows). Repair them, or set "
+            f"{text.path}: {wrong} in data row {number + 1} ({len(bad)} such rows). Repair the file, or set "
             "drop_bad_rows = true in a map (`column_map` FILE).",
-            row=row.number - text.skip,
+            row=number + 1,
         )
-    lost = np.array([row.number - text.skip - 1 for row in ragged], dtype=np.int64)
-    rows = np.setdiff1d(np.arange(parsed.num_rows + len(lost)), lost)
-    columns, good = list(parsed.columns), np.ones(parsed.num_rows, dtype=np.bool_)
-    for i in positions:
-        cells = columns[i]
-        if text.layout.decimal != ".":
-            cells = pc.replace_substring(cells, text.layout.decimal.encode(), b".")
-        number = pc.fill_null(pc.match_substring_regex(cells, _NUMBER), True)  # an empty cell is a gap
-        fine = np.asarray(number.to_numpy(), dtype=np.bool_)
-        if not fine.all() and not text.layout.drop_bad_rows:
-            first = int(np.flatnonzero(~fine)[0])
-            cell = columns[i][first].as_py()[:40].decode("utf-8", "replace")
-            raise FileFormatError(
-                f"{text.path}: column {text.names[i]!r}: expected numbers, got {cell!r} in data row "
-                f"{rows[first] + 1} ({int((~fine).sum())} such rows). Repair the file, or set drop_bad_rows = true "
-                "in a map (`column_map` FILE).",
-                row=int(rows[first]) + 1,
-            )
-        good &= fine
-        clean = pc.if_else(pa.array(fine), cells, None)
-        columns[i] = pc.cast(pc.utf8_trim_whitespace(pc.cast(clean, pa.string())), pa.float64())
-    mask = pa.array(good)
+    kinds = [np.float64 if k in positions else object for k in range(len(text.names))]
+    columns = [np.array([row[k] for row in rows], dtype=kind) for k, kind in enumerate(kinds)]
     return RawTable(
         source=str(text.path),
         names=text.names,
-        columns=tuple(column.filter(mask) for column in columns),
-        rows=rows[good],
-        dropped=len(lost) + int((~good).sum()),
+        columns=tuple(columns),
+        rows=np.array(numbers, dtype=np.int64),
+        dropped=len(bad),
     )
+
+
+def _problem_of(text: Text, line: str, cells: list[str], positions: list[int]) -> str:
+    """Return what is wrong with a row, "" if nothing is."""
+    if line.count('"') % 2:
+        return f"expected quotes that close in their row, got {line[:40]!r}"
+    if len(cells) != len(text.names):
+        return f"expected {len(text.names)} columns in every row, got {len(cells)}"
+    for k in positions:
+        if cells[k] not in EMPTY and not _NUMBER.fullmatch(cells[k].replace(text.layout.decimal, ".")):
+            return f"column {text.names[k]!r}: expected numbers, got {cells[k][:40]!r}"
+    return ""
