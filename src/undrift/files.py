@@ -168,10 +168,10 @@ def write_whole(path: Path | str, content: Content) -> None:
     write_together({Path(path): content})
 
 
-def write_together(files: Mapping[Path, Content], size: int = 0) -> None:
+def write_together(files: Mapping[Path, Content]) -> None:
     """Write files that belong together. All are complete before the first is renamed. Existing files are replaced.
 
-    A function as content receives the path to write to. `size` is then its approximate size in bytes, for the error message.
+    A function as content receives the path to write to.
     """
     parts: dict[Path, Path | None] = dict.fromkeys(files)
     try:
@@ -182,14 +182,12 @@ def write_together(files: Mapping[Path, Content], size: int = 0) -> None:
             if callable(content):
                 call_writer(content, draft)
             else:
-                data = content.encode("utf-8") if isinstance(content, str) else content
-                size = len(data)
-                draft.write_bytes(data)
+                draft.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
             with draft.open("r+b") as file:
                 os.fsync(file.fileno())
         take_names(parts)
     except OSError as error:
-        raise unwritten(path, error, size) from error
+        raise unwritten(path, error) from error
     finally:
         for draft in filter(None, parts.values()):
             draft.unlink(missing_ok=True)
@@ -248,22 +246,16 @@ def no_folder(path: Path, error: OSError) -> InputError:
     return InputError(f"{path}: expected a folder to write to, got {error.strerror}. Choose another folder.")
 
 
-def unwritten(path: Path, error: OSError, size: int = 0) -> InputError:
-    """Return the error for a file of which `size` more bytes could not be written. 0 means that the size is unknown."""
+def unwritten(path: Path, error: OSError) -> InputError:
+    """Return the error for a file that could not be written."""
     path = path.parent.parent / path.name if path.parent.name.startswith(_HIDDEN) else path
-    if not is_full(error):
-        number = errno_of(error)
+    if is_full(error):
         return InputError(
-            f"{path}: cannot be written: {os.strerror(number) if number else error}. Check the name, the folder and "
-            f"its permissions."
+            f"{path}: expected free disk space, but the disk is full or a quota is used up. Free space and run it again."
         )
-    free = shutil.disk_usage(path.parent).free
-    lacks = f"{size - free} are missing" if size > free else "a quota is spent"
-    wanted, lacks = (f"for {size} bytes more", lacks) if size else ("for more bytes", "too few, or a quota is spent")
-    return InputError(
-        f"{path}: expected free disk space {wanted}, got {free}: {lacks}. Free disk space and run it again.",
-        missing=max(size - free, 0),
-    )
+    number = errno_of(error)
+    why = os.strerror(number) if number else error
+    return InputError(f"{path}: cannot be written: {why}. Check the name, the folder and its permissions.")
 
 
 @contextmanager

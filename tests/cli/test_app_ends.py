@@ -15,7 +15,7 @@ import undrift
 from testkit.full_calibration import device, record
 from undrift.cli.app import run
 from undrift.errors import InputError
-from undrift.files import hidden_folder, write_whole
+from undrift.files import hidden_folder
 from undrift.io.parquet import ParquetWriter, write_parquet
 from undrift.io.store import write_calibration
 from undrift.io.text import write_rows
@@ -86,29 +86,16 @@ def full(*_):
     raise OSError(errno.ENOSPC, "No space left on device")
 
 
-def test_a_full_disk_names_the_file_and_the_bytes_missing(tmp_path, monkeypatch):
-    monkeypatch.setattr("shutil.disk_usage", lambda _: type("Usage", (), {"free": 100}))
-    monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(InputError) as caught:
-        write_whole(tmp_path / "c.json", bytes(340))
-    assert str(caught.value) == (
-        f"{tmp_path / 'c.json'}: expected free disk space for 340 bytes more, got 100: 240 are missing. Free disk "
-        f"space and run it again."
-    )
-    assert caught.value.missing == 240
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_disk_that_fills_while_rows_are_written_leaves_nothing(tmp_path, monkeypatch):
     monkeypatch.setattr("pyarrow.csv.write_csv", full)
-    with pytest.raises(InputError, match=r"r\.csv: expected free disk space for 160 bytes more"):
+    with pytest.raises(InputError, match=r"r\.csv: expected free disk space"):
         write_rows(tmp_path / "r.csv", ("a", "b"), (np.zeros(10), np.zeros(10)))
 
     def full_of_arrow(*_):
         raise OSError("Error writing bytes to file. Detail: [errno 28] No space left on device")
 
     monkeypatch.setattr("pyarrow.parquet.ParquetWriter.write_table", full_of_arrow)
-    with pytest.raises(InputError, match=r"r\.parquet: expected free disk space for .* bytes more"):  # noqa: SIM117
+    with pytest.raises(InputError, match=r"r\.parquet: expected free disk space"):  # noqa: SIM117
         with ParquetWriter(tmp_path / "r.parquet") as writer:
             writer.write(record(100))
     assert list(tmp_path.iterdir()) == []

@@ -88,7 +88,7 @@ class ParquetWriter:
     ) -> None:
         try:
             if self._writer is not None:
-                with _room(self.path, 0) if kind is None else suppress(OSError):
+                with _writing(self.path) if kind is None else suppress(OSError):
                     self._writer.close()
                     self._sink.close()
                     if kind is None and self._part is not None:
@@ -116,7 +116,7 @@ class ParquetWriter:
         schema = pa.schema([(name, pa.float64()) for name in names], metadata=metadata)
         if self._writer is None:
             self._part = new_part(self.path)
-            with _room(self.path, 0):
+            with _writing(self.path):
                 self._sink = pa.OSFile(str(self._part), "wb")
                 how = {"write_page_checksum": True, "write_statistics": ["time_s"]}  # other rows are found by time only
                 self._writer = pq.ParquetWriter(self._sink, schema, use_dictionary=False, **how)
@@ -133,7 +133,7 @@ class ParquetWriter:
             )
         self._last = float(record.time[-1])
         table = pa.Table.from_arrays([pa.array(column) for column in columns], schema=schema)
-        with _room(self.path, table.nbytes):
+        with _writing(self.path):
             self._writer.write_table(table)
 
 
@@ -160,11 +160,11 @@ def _names(handle: Any) -> tuple[str, ...]:
 
 
 @contextmanager
-def _room(path: Path, size: int) -> Iterator[None]:
+def _writing(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise unwritten(path, error, size) from error
+        raise unwritten(path, error) from error
 
 
 def _open(path: str | Path, *, stream: bool = False) -> Any:

@@ -145,7 +145,7 @@ def write_rows(
             sink.write(f"{','.join(names)}\n".encode())
             arrow_csv.write_csv(table, sink, arrow_csv.WriteOptions(include_header=False, quoting_style="none"))
 
-    write_together({**(beside or {}), path: write}, table.nbytes)
+    write_together({**(beside or {}), path: write})
 
 
 def _table_of(names: Sequence[str], columns: Sequence[FloatArray]) -> Any:
@@ -184,7 +184,7 @@ class Appender:
         except OSError as error:
             with suppress(OSError):  # of a file that was not opened, too
                 os.ftruncate(self._sink, start + content.rfind(b"\n", 0, done) + 1)
-            raise unwritten(self.path, error, len(content) - done) from error
+            raise unwritten(self.path, error) from error
 
     def write(self, record: Record) -> None:
         """Append a chunk of a record, with undrift's own column names."""
