@@ -140,10 +140,10 @@ def test_the_file_has_the_keys_of_the_format_and_null_for_nan(tmp_path: Path) ->
         ({"kind": "undrift.device"}, "kind 'undrift.calibration', got 'undrift.device'"),
         ({"format": 2}, "expected format 1, got 2"),
         ({"format": True}, "format 1, got True"),
-        ({"colour": "red"}, "got at colour: Extra inputs are not permitted"),
-        ({"device": None}, "got at device: Input should be a valid string"),
-        ({"gravity_m_s2": "9.81"}, "got at gravity_m_s2: Input should be a valid number"),
-        ({"verdict": {"status": "fine", "reasons": []}}, "got at verdict.status: Input should be 'good', 'marginal' or 'bad'"),
+        ({"colour": "red"}, "at colour: this key is unknown"),
+        ({"device": None}, "at device: expected a valid string"),
+        ({"gravity_m_s2": "9.81"}, "at gravity_m_s2: expected a valid number"),
+        ({"verdict": {"status": "fine", "reasons": []}}, "at verdict.status: expected 'good', 'marginal' or 'bad'"),
     ],
 )  # fmt: skip
 def test_a_key_that_is_not_of_the_format_is_refused_by_name(change: dict, text: str, tmp_path: Path) -> None:
@@ -215,7 +215,7 @@ def test_a_mark_is_true_or_false_and_each_node_has_one(tmp_path: Path) -> None:
     content = calibration_json(example(drift=DriftTables(static=static)))
     path = tmp_path / "c.json"
     for marks_, text in (
-        ([1, 0], "at drift.static.gyro_extrapolated.0: Input should be a valid boolean"),
+        ([1, 0], "at drift.static.gyro_extrapolated.0: expected a valid boolean"),
         ([True], r"StaticDrift\.gyro_extrapolated:"),
     ):
         content["drift"]["static"]["gyro_extrapolated"] = marks_
@@ -241,7 +241,7 @@ def test_a_lag_below_zero_is_refused_in_value_and_file(name: str, tmp_path: Path
     (tmp_path / "c.json").write_text(json.dumps(content))
     with pytest.raises(InputError, match=r"with a lag the smoothing above 0, got 3 and 0. "):
         DriftTables(lag_s=3.0)
-    with pytest.raises(FileFormatError, match=f"at drift.{name}: Input should be greater than or equal to 0"):
+    with pytest.raises(FileFormatError, match=f"at drift.{name}: expected greater than or equal to 0"):
         read_calibration(tmp_path / "c.json")
 
 

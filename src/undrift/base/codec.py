@@ -288,105 +288,63 @@ def value_of(cls: type[Value], tree: Any, name: str, text: str = "") -> Value:
                 f"{name}: expected format {how.format}, got {version!r}. Read it with the undrift that wrote it."
             )
     try:
-        tree = how.complete(tree) if how.complete and isinstance(tree, dict) else tree
-        value: Value = _validate(cls, tree)
-    except Refused as refused:
-        raise FileFormatError(f"{name}: {refused.explained(how, text)}") from refused
-    except (InputError, OverflowError) as error:  # of `complete`
+        return _validate(cls, how.complete(tree) if how.complete and isinstance(tree, dict) else tree, text)
+    except (Refused, InputError, OverflowError) as error:  # the last two of `complete`
         raise FileFormatError(f"{name}: {error}") from error
-    return value
 
 
 class Refused(ValueError):
-    """Validation error of pydantic: locations, kinds of problem, and the names of the known keys."""
+    """Problems that pydantic found in a file. The text is the first of them, by line and entry in TOML, by key in JSON."""
 
-    def __init__(self, problems: list[Any], known_keys: frozenset[str] = frozenset()) -> None:
+    def __init__(self, problems: list[Any], known_keys: frozenset[str] = frozenset(), text: str = "") -> None:
         # a list without its bad item is not too short, and unknown keys come first because they explain the rest
         places = [problem["loc"] for problem in problems]
         real = [
             p for p in problems if p["type"] != "too_short" or not any(_within(place, p["loc"]) for place in places)
         ]
-        self.problems = sorted(real, key=lambda problem: problem["type"] not in _UNKNOWN_KEY)
-        self.known = known_keys
-        problem = self.problems[0]
-        self.place = tuple(step for step in problem["loc"] if not _is_branch(step))
-        self.cause = problem.get("ctx", {}).get("error") if problem["type"] == "value_error" else None
-        self.near = ""
-        if problem["type"] in _UNKNOWN_KEY and self.place:
-            near = difflib.get_close_matches(
-                str(self.place[-1]), sorted(known_keys - {self.place[-1]}), n=1, cutoff=0.7
-            )
-            self.near = f" (nearest known key: {near[0]})" if near else ""
-        super().__init__(self.in_json())
-
-    def explained(self, how: Stored, text: str) -> str:
-        """Return the text of the error: by line and entry in TOML, by the path of the key in JSON."""
-        if text:
-            return self.in_toml(text)
-        if self.cause is not None:
-            return self.in_json()
-        wanted = f"{_name_in_messages(how)} of format {how.format}" if how.kind else "known keys"
-        return f"expected {wanted}, got {self.in_json()}. Repair the file."
-
-    def in_json(self) -> str:
-        """Return the first problem by the path of its key."""
-        where = f"at {'.'.join(map(str, self.place))}: " if self.place else ""
-        return f"{where}{self.problems[0]['msg'] if self.cause is None else self.cause}{self.near}"
-
-    def in_toml(self, text: str) -> str:
-        """Return the first problem by its line and entry."""
-        problem = self.problems[0]
-        remainder = f" (and {len(self.problems) - 1} more)" if len(self.problems) > 1 else ""
-        if self.cause is not None and not self.place:
-            return f"{self.cause}{remainder}"
-        message = problem["msg"].replace("Input should be ", "expected ").splitlines()[0]
-        what = {
-            **dict.fromkeys(_UNKNOWN_KEY, f"this key is unknown. Check its spelling{self.near}."),
-            "missing": "this key is missing. Add it.",
-            "value_error": str(self.cause),
-        }.get(problem["type"], f"{message}, got {problem['input']!r}")
-        return f"line {line_of(text, self.place)}: {entry_name(self.place)}: {what}{remainder}"
+        problem = min(real, key=lambda problem: problem["type"] not in _UNKNOWN_KEY)
+        place = tuple(step for step in problem["loc"] if not _is_branch(step))
+        where = f"line {line_of(text, place)}: {entry_name(place)}: " if text else f"at {'.'.join(map(str, place))}: "
+        remainder = f" (and {len(real) - 1} more)" if len(real) > 1 else ""
+        super().__init__((where if place else "") + _what_is_wrong(problem, place, known_keys) + remainder)
 
 
 def _within(place: tuple[Any, ...], outer: tuple[Any, ...]) -> bool:
     return len(place) > len(outer) and place[: len(outer)] == outer
 
 
-def _validate(cls: type[Value], tree: Any) -> Value:
+def _what_is_wrong(problem: Tree, place: tuple[Any, ...], known_keys: frozenset[str]) -> str:
+    if problem["type"] == "missing":
+        return "this key is missing. Add it."
+    if problem["type"] == "value_error":
+        return str(problem["ctx"]["error"])
+    if problem["type"] in _UNKNOWN_KEY and place:
+        near = difflib.get_close_matches(str(place[-1]), sorted(known_keys - {place[-1]}), n=1, cutoff=0.7)
+        return f"this key is unknown. Check its spelling{f' (nearest known key: {near[0]})' if near else ''}."
+    value = repr(problem["input"])
+    message = problem["msg"].replace("Input should be ", "expected ").splitlines()[0]
+    return f"{message}, got {value if len(value) < 80 else value[:80] + ' ...'}"
+
+
+def _validate(cls: type[Value], tree: Any, text: str = "") -> Value:
     from pydantic import ValidationError
 
     try:
         # as JSON: strict, and lists are tuples there
         value: Value = _adapter(cls).validate_json(json.dumps(tree, default=str))
     except ValidationError as error:
-        raise Refused(list(error.errors(include_url=False)), _collect_key_names(cls)) from error
+        raise Refused(list(error.errors(include_url=False)), known_keys(schema_of(cls)), text) from error
     except (OverflowError, RecursionError, TypeError) as error:
         raise Refused([{"type": "value_error", "loc": (), "msg": str(error), "ctx": {"error": error}}]) from error
     return value
 
 
-@_cached
-def _collect_key_names(cls: Any) -> frozenset[str]:
-    """Return the names of all keys of a class and of the classes that it contains."""
-    names, visited, todo = set[str](), set[type](), [cls]
-    while todo:
-        current = todo.pop()
-        if current in visited:
-            continue
-        visited.add(current)
-        if _STORED[current].form is not None:
-            todo += _classes_in(_STORED[current].form)
-            continue
-        for slot in slots_of(current):
-            names |= set(slot.path)
-            todo += _classes_in(slot.hint)
-    return frozenset(names)
-
-
-def _classes_in(hint: Any) -> list[type]:
-    """Return the stored classes of a type."""
-    classes = [hint] if isinstance(hint, type) and hint in _STORED else []
-    return [*classes, *(nested for argument in get_args(hint) for nested in _classes_in(argument))]
+def known_keys(schema: Tree) -> frozenset[str]:
+    """Return the names of all keys in a JSON Schema."""
+    tables = [schema, *schema.get("$defs", {}).values()]
+    for table in tables:  # grows by the tables in it
+        tables += [inner for inner in table.get("properties", {}).values() if "properties" in inner]
+    return frozenset(key for table in tables for key in table.get("properties", ()))
 
 
 def _name_in_messages(how: Stored) -> str:

@@ -342,10 +342,8 @@ def read_toml(model: type[Table], path: str | Path) -> tuple[Table, str]:
     try:
         return model.model_validate_json(json.dumps(tree, default=str)), text
     except ValidationError as error:
-        schema = model.model_json_schema()
-        tables = (schema, *schema.get("$defs", {}).values())
-        keys = frozenset(key for table in tables for key in table.get("properties", ()))
-        raise FileFormatError(f"{path}: {codec.Refused(list(error.errors()), keys).in_toml(text)}") from error
+        refused = codec.Refused(list(error.errors()), codec.known_keys(model.model_json_schema()), text)
+        raise FileFormatError(f"{path}: {refused}") from error
 
 
 def read_map(path: str | Path, **choices: Any) -> ColumnMap:

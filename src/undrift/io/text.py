@@ -337,9 +337,10 @@ def _parse_by_row(text: Text, positions: list[int]) -> RawTable:
         if wrong:
             bad.append((number, wrong))
             continue
+        row: list[Any] = list(cells)
         for k in positions:
-            cells[k] = np.nan if cells[k] in EMPTY else float(cells[k].replace(text.layout.decimal, "."))
-        rows.append(cells)
+            row[k] = np.nan if cells[k] in EMPTY else float(cells[k].replace(text.layout.decimal, "."))
+        rows.append(row)
         numbers.append(number)
     if bad and not text.layout.drop_bad_rows:
         number, wrong = bad[0]
