@@ -74,7 +74,7 @@ def test_ctrl_c_in_the_wave_leaves_the_motor_off(opened):
     assert (card.bench.servo.powered, card.bench.servo.moving) == (False, False)
 
 
-@pytest.mark.parametrize("command", ["SP", "TE", "MG _TP"])
+@pytest.mark.parametrize("command", ["SP", "MG _TE", "MG _TP"])
 def test_a_link_that_fails_leaves_the_motor_off(opened, command):
     card, rig, clock = opened(motor_on=True)
     card.spoil(command, b"gar\r\n:")

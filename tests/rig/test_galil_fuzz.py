@@ -11,7 +11,7 @@ from collections import Counter
 
 import pytest
 
-from testkit.cards import Card
+from testkit.cards import BOTH, Card
 from testkit.data import show
 from testkit.rig_bench import mean_turn_rate
 from testkit.scripted_server import VirtualScripted
@@ -24,7 +24,6 @@ from undrift.units import RADIAN_PER_DEGREE
 
 LETTERS = b"?:0123456789 .-\r\nTPXBG\x00\x07\xff\xc2"
 REPLY_S = 0.03
-BOTH = "MG _TPX{F10.0},TIME{F10.0}"  # a position and when it was; older cards refuse it
 AT_OPENING = 0.3  # share of openings that are spoilt as well
 CALLS = {
     "identify": lambda rig: rig.identify(),

@@ -1,4 +1,4 @@
-"""The GRBL rig against a scripted board: dialogues of the 1.1 interface, every error and alarm, and bad answers."""
+"""The GRBL rig against a scripted board: dialogues of the 1.1 interface, every error, and bad answers."""
 
 import contextlib
 import math
@@ -12,14 +12,11 @@ from testkit.rig_bench import mean_turn_rate
 from testkit.scripted_server import VirtualScripted
 from testkit.virtual_clock import VirtualClock
 from undrift.errors import InputError, LimitError, LinkError, RigFault, RigTimeout
-from undrift.rig.grbl import GrblBoard, GrblRig, open_from, parse_status
+from undrift.rig.grbl import GrblBoard, GrblRig, open_from
 from undrift.rig.link import LinkSettings
 from undrift.rig.rig import Limits, RigSettings, codes, in_words, turn_by
 
-ERRORS, ALARMS = (
-    {int(code): words for code, words in codes(kind).items() if code != "other"}
-    for kind in ("grbl_error", "grbl_alarm")
-)
+ERRORS = {int(code): words for code, words in codes("grbl_error").items() if code != "other"}
 DEGREE = math.pi / 180.0
 SAFE = "The table was stopped and its motor put to sleep."
 LOST = "NOT CONFIRMED"
@@ -30,7 +27,7 @@ class Bench:
         self.board = board or Board()
         self.clock = VirtualClock()
         self.server = VirtualScripted(self.board, self.clock, terminator=b"\n", at_once="?!~\x18\x85")
-        self.link = GrblBoard(self.server.url, LinkSettings(reply_timeout_s=timeout_s, clock=self.clock), self.clock)
+        self.link = GrblBoard(self.server.url, LinkSettings(reply_timeout_s=timeout_s, clock=self.clock))
         try:
             self.rig = GrblRig(self.link, RigSettings(clock=self.clock, **settings))
         except BaseException:
@@ -122,13 +119,6 @@ def test_an_alarm_that_is_not_ours_stays_for_a_person():
         assert "$X" not in bench.server.heard
 
 
-@pytest.mark.parametrize("code", sorted(ALARMS))
-def test_every_alarm_is_said_in_words(bench, code):
-    bench.board.state = "Alarm"
-    bench.board.spoilt["?"] = [f"ALARM:{code}\r\n<Alarm|MPos:0.000|FS:0,0>\r\n".encode()]
-    assert bench.rig.fault() == f"an alarm: {ALARMS[code]} (alarm {code})"
-
-
 @pytest.mark.parametrize("code", sorted(ERRORS))
 def test_every_error_code_is_said_in_words(bench, code):
     bench.board.spoilt["$I"] = [f"error:{code}\r\n".encode()]
@@ -140,7 +130,6 @@ def test_every_error_code_is_said_in_words(bench, code):
 def test_the_codes_a_jog_meets_have_words_and_others_say_where_to_look():
     assert set(ERRORS) >= {1, 2, 3, 4, 5, 6, 7, 8, 9, 15, 16}
     assert "not listed here; see" in in_words("grbl_error", 99)
-    assert "not listed here; see" in in_words("grbl_alarm", 99)
 
 
 def test_an_open_door_is_a_fault(bench):
@@ -175,7 +164,7 @@ def test_what_goes_beyond_a_limit_is_refused_before_a_byte_is_sent(told):
 
 
 def test_a_rate_beyond_the_controllers_own_is_refused(bench):
-    bench.rig.fastest_dps = 30.0
+    bench.rig._fastest = 30.0
     with pytest.raises(LimitError, match=r"turn rate .* 0.0167 to 30 deg/s, got 45.0000"):
         bench.rig.turn_for(45.0 * DEGREE, 2.0)
 
@@ -229,10 +218,11 @@ def test_a_link_that_is_lost_is_opened_again_to_stop_the_table(bench):
     assert bench.board.state == "Sleep"
 
 
-@pytest.mark.parametrize("line", ["<Idle>", "<Flying|MPos:0.000>", "<Idle|MPos:0>", "<Idle|MPos:a,b>", "Idle|FS:0"])
-def test_what_is_no_status_is_refused(line):
-    with pytest.raises(LinkError, match="here: expected a status line"):
-        parse_status(line, "here")
+@pytest.mark.parametrize("line", ["<Idle>", "<Flying|MPos:0.000>", "<Idle|MPos:0>", "<Idle|MPos:a,b>"])
+def test_what_is_no_status_is_refused(bench, line):
+    bench.board.spoilt["?"] = [f"{line}\r\n".encode()]
+    with pytest.raises(LinkError, match="expected a status line"):
+        bench.rig.position()
 
 
 def test_a_status_of_work_positions_is_no_place(bench):

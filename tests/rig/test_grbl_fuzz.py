@@ -62,7 +62,7 @@ def test_bad_answers_at_any_step_end_within_the_deadline_and_nothing_jogs(seed):
         armed, clock = False, VirtualClock()
         with VirtualScripted(answer, clock, terminator=b"\n", at_once="?!~\x18\x85") as server:
             with contextlib.suppress(RigError):
-                link = GrblBoard(server.url, LinkSettings(reply_timeout_s=0.02, clock=clock), clock)
+                link = GrblBoard(server.url, LinkSettings(reply_timeout_s=0.02, clock=clock))
                 rig = GrblRig(link, RigSettings(clock=clock))
                 armed = True
                 try:

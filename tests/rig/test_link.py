@@ -12,7 +12,7 @@ from testkit.pseudo_terminal import open_pseudo_terminal
 from testkit.scripted_server import Scripted
 from testkit.waiting import eventually
 from undrift.errors import InputError, LinkError, RigTimeout
-from undrift.rig.link import Link, LinkSettings
+from undrift.rig.link import Link, LinkSettings, end_of
 
 LINK = LinkSettings(
     terminator="\r", reply_timeout_s=20.0, connect_timeout_s=20.0
@@ -71,7 +71,7 @@ def test_silence_is_a_timeout_after_its_deadline_and_the_late_answer_is_never_ta
         with pytest.raises(LinkError, match=r"out of step"):
             link.exchange("TP")
         server._answer = lambda command: b"token\n"
-        found = link.ask_anew("say token", lambda got: got.find(b"token\n") + 6 if b"token\n" in got else 0)
+        found = link.exchange("say token", until=end_of(rb"token\n"), anew=True)
         assert found.endswith("token\n")
         server._answer = echo
         assert link.exchange("TP") == "TP!\n"

@@ -11,16 +11,9 @@ from undrift.rig.rig import Limits, RigSettings, open_rig, parse_address
 
 
 def test_an_address_names_the_rig_its_link_and_its_options():
-    kind, url, settings = parse_address(
-        "galil:serial:///dev/ttyUSB0?baud=9600&encoder_lines=2500&axis=b&hardware_handshake=yes"
-    )
+    kind, url, settings = parse_address("galil:serial:///dev/ttyUSB0?baud=9600&encoder_lines=2500&axis=b")
     assert (kind, url) == ("galil", "serial:///dev/ttyUSB0")
-    assert (settings.baud, settings.encoder_lines, settings.axis, settings.hardware_handshake) == (
-        9600,
-        2500,
-        "B",
-        True,
-    )
+    assert (settings.baud, settings.encoder_lines, settings.axis) == (9600, 2500, "B")
 
 
 def test_an_option_of_the_address_wins_over_the_settings():
@@ -39,7 +32,6 @@ def test_a_rig_that_is_none_of_ours_is_refused(address):
     [
         ("limits=9", "unknown option 'limits'"),
         ("baud=fast", "'fast' is not a value for baud"),
-        ("hardware_handshake=1", "'1' is not a value for hardware_handshake"),
         ("baud", "expected options as name=value"),
     ],
 )

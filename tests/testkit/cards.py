@@ -28,6 +28,7 @@ class Card:
             "TE": "0",
             "SC": "1",
             "TS": "44",
+            "TM": "1000",
         }
         self.spoilt: dict[str, list[bytes | None]] = {}
         self.polls = polls
@@ -61,9 +62,10 @@ class Card:
             return f" {int(self.poll())}.0000\r\n:".encode()
         if found := re.fullmatch(r"MG _([A-Z]{2})X?", command):
             return f" {float(self.held[found.group(1)]):.4f}\r\n:".encode()
-        if found := re.fullmatch(r"(TP|TE)X", command):
-            value = int(self.held[found.group(1)])
-            return f"{'-' if value < 0 else ' '}{abs(value):010d}\r\n:".encode()
+        if command == BOTH:
+            return f"{int(self.held['TP']): 011d} {0: 011d}\r\n:".encode()  # its clock stands still
+        if command == "MG _TEX{F10.0}":
+            return f"{int(self.held['TE']): 011d}\r\n:".encode()
         if found := re.fullmatch(r"(TS|SC)X", command):
             return f" {int(self.held[found.group(1)]):03d}\r\n:".encode()
         if found := re.fullmatch(r"([A-Z]{2}) \?", command):

@@ -132,9 +132,9 @@ class SerialPort:
 
     datagrams = False
 
-    def __init__(self, place: str, baud: int, hardware_handshake: bool = False) -> None:
+    def __init__(self, place: str, baud: int) -> None:
         serial, self.baud = package_of("serial", "pyserial", "serial port"), baud
-        self._port = serial.serial_for_url(place, baudrate=baud, write_timeout=WRITE_S, rtscts=hardware_handshake)
+        self._port = serial.serial_for_url(place, baudrate=baud, write_timeout=WRITE_S)
 
     def receive(self, wait_s: float) -> bytes:
         """Return the bytes that have arrived."""

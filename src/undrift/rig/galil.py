@@ -6,10 +6,9 @@ never moves a rig. Every number is rounded as the card rounds it before it is se
 
 A turn is a move by a known distance (SP, PR, BG), which the card ends itself, even if this program has ended.
 
-The achieved rate is the difference of positions (TP) over the difference of the card's clock (TIME). The card returns TP and TIME
-in one answer. If a card cannot do that, TP is read without TIME, and its time is the middle between question and answer. If an
-answer is late or corrupted, the driver stops the axis (ST, then AB) and switches the motor off (MO). It then reports if the card
-confirmed the stop.
+The achieved rate is the difference of positions (TP) over the difference of the card's clock (TIME), which the card returns in one
+answer. If an answer is late or corrupted, the driver stops the axis (ST, then AB) and switches the motor off (MO). It then reports
+if the card confirmed the stop.
 
 Sources: command references DMC-1400, 2x00 and 40x0.
 """
@@ -30,7 +29,6 @@ from undrift.rig.rig import (
     LONGEST_MOVE,
     MOVE,
     SLEW,
-    CountScale,
     Position,
     RigSettings,
     ServoReport,
@@ -40,11 +38,26 @@ from undrift.rig.rig import (
 )
 from undrift.units import RADIAN_PER_DEGREE
 
-# ---- Commands and answers, with strict parsing.
+# ---- Commands and answers. An x in a question is the letter of the axis.
 
-NUMBER = re.compile(r"[ ]*-?[ ]?\d{1,12}(?:\.\d{1,8})?[ ]*")
-BOTH = re.compile(r" *(-?\d{10}) +(-?\d{10}) *")
-CABLE = "Check cable and baud rate."
+NUMBER = r" *(-? ?\d{1,12}(?:\.\d{1,8})?) *"
+BIT = r" *([01])(?:\.0{1,8})? *"
+BYTE = r" *(25[0-5]|2[0-4]\d|[01]?\d?\d)(?:\.0{1,8})? *"
+TEN_DIGITS = r" *(-?\d{10})"  # a fixed number of digits, so that a lost byte is detected
+QUESTIONS = {  # command, and form of its answer
+    "position and time": ("MG _TPx{F10.0},TIME{F10.0}", rf"{TEN_DIGITS} {TEN_DIGITS} *"),
+    "following error": ("MG _TEx{F10.0}", rf"{TEN_DIGITS} *"),
+    "is moving": ("MG _BGx", BIT),
+    "is off": ("MG _MOx", BIT),
+    "switches": ("TSx", BYTE),
+    "stop code": ("SCx", BYTE),
+    "kp": ("MG _KPx", NUMBER),
+    "ki": ("MG _KIx", NUMBER),
+    "kd": ("MG _KDx", NUMBER),
+    "sample period": ("MG _TM", NUMBER),  # us
+}
+MODEL = r"([^?\x00-\x1f\x7f]+)"
+ERROR_CODE = r"\s*(\d{1,3})\b[^?]*"
 AXES = "ABCDEFGH"
 
 reply_end = end_of(rb"(?:^|\n)[:?]")  # prompt at the start of a line
@@ -56,18 +69,45 @@ class GalilCard(Link):
 
     def __init__(self, url: str, settings: LinkSettings = LinkSettings(), axis: str = "X") -> None:
         self.axis, self._token = axis, 41_000
-        self.commas = "," * (AXES.index(axis) if axis in AXES else "XYZW".index(axis))
-        self._digits: int | None = None
+        self._commas = "," * (AXES.index(axis) if axis in AXES else "XYZW".index(axis))
         super().__init__(url, replace(settings, terminator="\r", reply_end=reply_end))
 
-    def ask(self, command: str, deadline_s: float | None = None) -> str | None:
-        """Return the text of the answer ("" for a bare ``:``), or None if the card rejects the command."""
-        reply = self.exchange(command, deadline_s)
-        if reply == "?":
-            return None
-        if not reply.endswith(":") or "?" in reply:
-            raise LinkError(f"{self.name}: {reply!r} is not an answer to '{command}'. {CABLE}")
-        return reply[:-1]
+    def ask(self, command: str, form: str = "") -> tuple[str, ...]:
+        """Send a command and return the groups of its answer, which must have a form. By default, the form is a bare ``:``.
+
+        If the card rejects the command, raise RigFault with the reason from TC1.
+        """
+        reply = self.exchange(command)
+        if reply == "?" and command != "TC1":
+            code = int(self.ask("TC1", ERROR_CODE)[0])
+            raise RigFault(
+                f"{self.name}: the card rejected '{command}' (error {code}: {in_words('galil_error', code)}). Check the state "
+                "of the card.",
+                code=code,
+                command=command,
+            )
+        match = re.fullmatch(rf"[\r\n]*{form}[\r\n]*:", reply)
+        if match is None:
+            raise LinkError(f"{self.name}: {reply!r} is not an answer to '{command}'. Check cable and baud rate.")
+        return match.groups()
+
+    def read(self, question: str) -> list[float]:
+        """Ask one of QUESTIONS and return the numbers of its answer."""
+        command, form = QUESTIONS[question]
+        return [float(text.replace(" ", "")) for text in self.ask(command.replace("x", self.axis), form)]
+
+    def set(self, name: str, value: float, *, tolerance: float = 0.0) -> float:
+        """Set a parameter of the axis, read it back and return it."""
+        self.ask(f"{name} {self._commas}{value:.10g}")
+        (text,) = self.ask(f"{name} {self._commas}?", NUMBER)
+        actual = float(text.replace(" ", ""))
+        if abs(actual - value) > tolerance:
+            raise LinkError(
+                f"{self.name}: set {name} to {value:.10g}, but the card returned {actual:.10g}. Check cable and baud rate.",
+                wanted=value,
+                held=actual,
+            )
+        return actual
 
     def shout(self, command: str) -> None:
         """Send without waiting for an answer. The next question reports a lost link."""
@@ -78,78 +118,13 @@ class GalilCard(Link):
         """Ask the card to print a number that was not used before, and discard all bytes before that number."""
         for attempt in range(3):
             self._token += 1
-            try:  # the card may add leading zeros and decimals
-                self.ask_anew(f"MG {self._token}", end_of(rb"(?<!\d)0*%d(?:\.0*)?[ ]*\r?\n:" % self._token))
+            number = end_of(rb"(?<!\d)0*%d(?:\.0*)?[ ]*\r?\n:" % self._token)  # with leading zeros and decimals
+            try:
+                self.exchange(f"MG {self._token}", until=number, anew=True)
                 return
             except RigTimeout:
                 if attempt == 2:
                     raise
-
-    def do(self, command: str) -> None:
-        """Send a command whose only answer is ``:``."""
-        if answer := self.text(command):
-            raise self.garbled("':'", command, repr(answer))
-
-    def text(self, command: str) -> str:
-        """Ask for text and return it. If the card rejects the command, raise RigFault with the reason from TC1."""
-        answer = self.ask(command)
-        if answer is not None:
-            return answer.strip("\r\n")
-        reason = self.ask("TC1") or ""
-        match = re.match(r"\s*(\d{1,3})\b", reason)
-        if not match:
-            raise self.garbled("an error code", "TC1", repr(reason))
-        code = int(match.group(1))
-        cause = f"error {code}: {in_words('galil_error', code)}"
-        raise RigFault(
-            f"{self.name}: the card rejected '{command}' ({cause}). Check the state of the card.",
-            code=code,
-            command=command,
-        )
-
-    def number(self, command: str) -> float:
-        """Ask for a number and return it."""
-        answer = self.text(command)
-        if not NUMBER.fullmatch(answer):
-            raise self.garbled("a number", command, repr(answer))
-        return float(answer.replace(" ", ""))
-
-    def integer(self, command: str, smallest: int, largest: int) -> int:
-        """Ask for a whole number within a range and return it."""
-        value = self.number(command)
-        if value != int(value) or not smallest <= value <= largest:
-            raise self.garbled(f"a whole number from {smallest} to {largest}", command, f"{value:g}")
-        return int(value)
-
-    def position(self, command: str) -> int:
-        """Ask for a position in counts. After `fix_format`, its number of digits is checked."""
-        answer = self.text(command)
-        digits = sum(character.isdigit() for character in answer)
-        if not re.fullmatch(r" *-? ?\d{1,10} *", answer) or self._digits not in (None, digits):
-            raise self.garbled("counts", command, repr(answer))
-        return int(answer.replace(" ", ""))
-
-    def fix_format(self) -> None:
-        """Set the position format to ten digits, so that a lost byte is detected. Cards without this format keep their own."""
-        if self.ask("PF 10.0") is not None and self.ask("LZ 0") is not None:
-            digits = sum(character.isdigit() for character in self.text(f"TP{self.axis}"))
-            self._digits = 10 if digits == 10 else None
-
-    def set(self, name: str, value: float, *, tolerance: float = 0.0) -> float:
-        """Set a parameter of the axis and read it back."""
-        self.do(f"{name} {self.commas}{value:.10g}")
-        actual = self.number(f"{name} {self.commas}?")
-        if abs(actual - value) > tolerance:
-            raise LinkError(
-                f"{self.name}: set {name} to {value:.10g}, but the card returned {actual:.10g}. {CABLE}",
-                wanted=value,
-                held=actual,
-            )
-        return actual
-
-    def garbled(self, wanted: str, command: str, got: str) -> LinkError:
-        """Return the LinkError for an answer of the wrong form."""
-        return LinkError(f"{self.name}: expected {wanted} in answer to '{command}', got {got}. {CABLE}")
 
 
 # ---- Clock of a card.
@@ -159,7 +134,7 @@ CRYSTAL = 2e-4  # largest relative difference between the clock rates of card an
 FINDING_S = 0.5  # longest search for the card's tick at the start, host s
 
 
-def matching_ticks(answers: Iterable[tuple[int, float, float]], sample_s: float) -> list[float]:
+def matching_ticks(answers: Iterable[tuple[float, float, float]], sample_s: float) -> list[float]:
     """Return the ticks, s, that agree with answers of TIME (ticks n, time of the question a, time of the answer b, s).
 
     TIME counts samples or nominal milliseconds. On old cards a millisecond is 1/1024 s (DMC-1400 command reference, TM and TIME).
@@ -189,61 +164,46 @@ class GalilRig(LinkedRig):
 
     stopped = "The table was stopped and its motor switched off."
     unconfirmed = "It is NOT CONFIRMED that the table stopped. Cut the amplifier's power."
+    unit = "counts"
 
     def __init__(self, card: GalilCard, settings: RigSettings = RigSettings()) -> None:
-        super().__init__(card, settings.limits)
-        self.card, self.clock = card, settings.timing
-        self._scale = CountScale.from_lines(settings.encoder_lines)
-        self._fastest = self._scale.counts(settings.limits.turn_rate)
+        self.card, self._count = card, settings.count
         self._acceleration = START_ACCELERATION  # of both ramps, counts/s2
-        self._enabled, self._home = False, 0
-        self._last: int | None = None  # last position, counts
-        self._read_at = 0.0  # time of its question, s
-        self._when = (0.0, 0.0)  # time of the last position and its largest error, s
-        self._both = f"MG _TP{card.axis}{{F10.0}},TIME{{F10.0}}"  # ten digits each, so that a lost byte is detected
-        self._has_time = False  # True if the card returns position and time in one answer
-        self._tick: tuple[float, float] | None = None  # tick and host time of tick 0, s
-        self._sample_s: float | None = None  # sample period of the servo, s
-        try:
-            self._prepare(settings)
-        except RigError:
-            card.close()
-            raise
+        self._home = 0.0
+        self._tick: tuple[float, float] | None = None  # tick of the card's clock and host time of tick 0, s
+        self._sample_s = math.nan  # sample period of the servo, s
+        super().__init__(card, settings)
 
     def identify(self) -> str:
         """Return the card's model and firmware, from control-R control-V."""
         with self._guarded():
-            answer = self.card.text("\x12\x16").strip()
-            if not answer.isprintable() or not answer:
-                raise LinkError(f"{self.card.name}: {answer!r} is not a model in answer to ^R^V. Check the baud rate.")
-            return answer
+            return self.card.ask("\x12\x16", MODEL)[0].strip()
 
     def position(self) -> Position:
-        """Return the angle since the rig was opened (TP), rad, and its time from the card's clock if available (TIME)."""
+        """Return the angle since the rig was opened (TP), rad, and its time from the card's clock if its tick is known (TIME)."""
         with self._guarded():
-            counts = self._counts()
-        time, within_s = self._when
-        return Position(angle=self._scale.angle(counts - self._home), time=time, within_s=within_s)
+            counts, time, within_s = self._read()
+        return Position(angle=(counts - self._home) * self._count, time=time, within_s=within_s)
 
     def following_error(self) -> float:
         """Return commanded minus actual angle (TE), rad."""
         with self._guarded():
-            return self._scale.angle(self.card.position(f"TE{self.card.axis}"))
+            return self.card.read("following error")[0] * self._count
 
     def fault(self) -> str | None:
         """Return a description of the faults (TS, SC), or None."""
         with self._guarded():
-            wrong = wrong_switches(self.card.integer(f"TS{self.card.axis}", 0, 255), self._enabled)
-            code = self.card.integer(f"SC{self.card.axis}", 0, 255)
+            faults = wrong_switches(int(self.card.read("switches")[0]), self._enabled)
+            code = int(self.card.read("stop code")[0])
         if code in STOPS_THAT_ARE_FAULTS:
-            wrong.append(f"{in_words('galil_stop', code)} (stop code {code})")
-        return "; ".join(wrong) or None
+            faults.append(f"{in_words('galil_stop', code)} (stop code {code})")
+        return "; ".join(faults) or None
 
     def read_servo(self) -> ServoReport:
         """Return the gains (KP, KI, KD) and the sample period (TM) of the card."""
         with self._guarded():
-            gains = {name: self.card.number(f"MG _{name.upper()}{self.card.axis}") for name in ("kp", "ki", "kd")}
-            return ServoReport(sample_s=self._sample_s or 1e-6 * self.card.number("MG _TM"), **gains)
+            gains = {name: self.card.read(name)[0] for name in ("kp", "ki", "kd")}
+        return ServoReport(sample_s=self._sample_s, **gains)
 
     def enable(self, on: bool) -> None:
         """Switch the motor on (SH), or stop the axis and switch the motor off (MO)."""
@@ -259,52 +219,58 @@ class GalilRig(LinkedRig):
     def set_acceleration(self, acceleration: float) -> float:
         """Set acceleration (AC) and deceleration (DC), multiples of 1024 counts/s2."""
         self.limits.check_acceleration(acceleration)
-        counts = ACCELERATION.round(self._scale.counts(acceleration))
+        counts = ACCELERATION.round(acceleration / self._count)
         with self._guarded():
             self._set_ramps(counts)
-        return self._scale.angle(self._acceleration)
+        return self._acceleration * self._count
 
     def turn_for(self, turn_rate: float, seconds: float) -> float:
         """Turn at a steady rate for a time that includes both ramps (SP, PR, BG), and return the rate set in the card."""
         self.limits.check_turn_rate(turn_rate)
-        speed = SLEW.round(self._scale.counts(turn_rate))
+        speed = SLEW.round(turn_rate / self._count)
         distance = MOVE.round(steady_angle(speed, seconds, self._acceleration))
-        self.limits.check_travel(self._angle_now() + self._scale.angle(distance))
+        self.limits.check_travel((self._last - self._home + distance) * self._count)
         with self._guarded():
             if self._is_moving():
                 raise RigFault(f"{self.card.name}: the axis still moves. Stop it first.")
             actual = self.card.set("SP", abs(speed), tolerance=1)
             self.card.set("PR", distance)
             self._command("BG")
-        return self._scale.angle(math.copysign(actual, turn_rate))
+        return math.copysign(actual, turn_rate) * self._count
 
     def stop(self) -> None:
         """Slow down (ST) and wait until the axis is at rest. The motor stays on."""
         with self._guarded():
             self._stop()
-            self._settle()
+            before = self._read()[0]
+            for _ in range(50):  # the servo settles after the profile ends
+                self.clock.wait(0.02)
+                counts = self._read()[0]
+                if abs(counts - before) <= 1:
+                    break
+                before = counts
 
     def _prepare(self, settings: RigSettings) -> None:
         """Check that the table is free, configure the card and store the initial position. A running move is stopped."""
         card = self.card
+        self._fastest, self.slack = settings.limits.turn_rate / self._count, math.radians(10.0) / self._count
         card.resynchronise()
         state = "moving" if self._is_moving() else "its motor on" if self._is_on() else ""
         check_free(card.name, state, settings)
-        with self._safely():
-            card.ask("EO 0")  # no echo
+        with self._guarded():
+            card.exchange("EO 0")  # no echo
             card.resynchronise()
-            card.fix_format()
             if state == "moving":
                 self._stop()
-            card.set("ER", max(1, round(self._scale.counts(ERROR_LIMIT))), tolerance=1)
+            card.set("ER", max(1, round(ERROR_LIMIT / self._count)), tolerance=1)
             card.set("OE", 1)
-            self._set_ramps(ACCELERATION.round(min(START_ACCELERATION, self._scale.counts(self.limits.acceleration))))
+            self._set_ramps(ACCELERATION.round(min(START_ACCELERATION, self.limits.acceleration / self._count)))
             self._enabled = self._is_on()
             self._find_clock()
-            self._home = self._counts()
-            forward, reverse = LONGEST_MOVE, -LONGEST_MOVE  # no limits in effect
+            self._home = self._read()[0]
+            forward, reverse = float(LONGEST_MOVE), -float(LONGEST_MOVE)  # no limits in effect
             if self.limits.travel is not None:
-                reach = int(self._scale.counts(self.limits.travel))
+                reach = int(self.limits.travel / self._count)
                 forward, reverse = self._home + reach, self._home - reach
             card.set("FL", forward, tolerance=2)
             card.set("BL", reverse, tolerance=2)
@@ -312,68 +278,33 @@ class GalilRig(LinkedRig):
     # ---- Position and time
 
     def _find_clock(self) -> None:
-        """Use the card's clock if the card returns position and time in one answer. Search briefly for its tick."""
-        answer = self.card.ask(self._both)
-        self._has_time = answer is not None and bool(BOTH.fullmatch(answer.strip("\r\n")))
-        if not self._has_time:
-            return
-        sample_s = 1e-6 * self.card.number("MG _TM")
-        answers = list[tuple[int, float, float]]()
+        """Search briefly for the tick of the card's clock. Without it, a position has the host's time."""
+        self._sample_s = 1e-6 * self.card.read("sample period")[0]
+        answers = list[tuple[float, float, float]]()
 
         def only_tick() -> float | None:
-            answers.append(self._read()[1:])
-            ticks = matching_ticks(answers, sample_s)
+            asked_s = self.clock.now()
+            _, n = self.card.read("position and time")
+            answers.append((n, asked_s, self.clock.now()))
+            ticks = matching_ticks(answers, self._sample_s)
             return ticks[0] if len(ticks) == 1 else None
 
         if tick_s := self.clock.host.until(only_tick, FINDING_S):
             n, asked_s, answered_s = min(answers, key=lambda answer: answer[2] - answer[1])
             self._tick = tick_s, 0.5 * (asked_s + answered_s) - tick_s * n
-            old_ticks = (1e-3 * OLD_SECOND, sample_s * OLD_SECOND)
-            is_old = any(math.isclose(tick_s, tick, rel_tol=1e-9) for tick in old_ticks)
-            self._sample_s = sample_s * (OLD_SECOND if is_old else 1.0)
+            if any(math.isclose(tick_s, tick * OLD_SECOND, rel_tol=1e-9) for tick in (1e-3, self._sample_s)):
+                self._sample_s *= OLD_SECOND
 
-    def _read(self) -> tuple[int, int, float, float]:
-        """Return the position in counts, the card's time in ticks, and the times of question and answer, s."""
+    def _read(self) -> tuple[float, float, float]:
+        """Return the position in counts, its time and the largest error of that time, s."""
         asked_s = self.clock.now()
-        if not self._has_time:
-            return self.card.position(f"TP{self.card.axis}"), 0, asked_s, self.clock.now()
-        answer = self.card.text(self._both)
-        match = BOTH.fullmatch(answer)
-        if not match:
-            raise self.card.garbled("two numbers with ten digits", self._both, repr(answer))
-        return int(match.group(1)), int(match.group(2)), asked_s, self.clock.now()
-
-    def _counts(self) -> int:
-        """Return the position in counts, and store its time. A position that the axis cannot have reached raises LinkError."""
-        counts, ticks, asked_s, answered_s = self._read()
-        # largest possible motion, from the last question to this answer, and 10 deg
-        reach = 1.5 * self._fastest * (answered_s - self._read_at) + self._scale.counts_per_turn / 36.0
-        if self._last is not None and abs(counts - self._last) > reach:
-            raise LinkError(
-                f"{self.card.name}: expected a position within {reach:.0f} counts of {self._last}, got {counts}. "
-                "The card was restarted, the answer is corrupted, or clock_speed is wrong.",
-                counts=counts,
-            )
-        self._last, self._read_at = counts, asked_s
-        self._when = 0.5 * (asked_s + answered_s), 0.5 * (answered_s - asked_s)
-        if self._tick is not None:
-            tick_s, zero_s = self._tick
-            self._when = zero_s + tick_s * (ticks + 0.5), 0.5 * tick_s
-        return counts
-
-    def _angle_now(self) -> float:
-        """Return the angle since the rig was opened at the last reading of the position, rad."""
-        return 0.0 if self._last is None else self._scale.angle(self._last - self._home)
-
-    def _settle(self) -> None:
-        """Wait until the position changes by at most one count. The servo settles after the profile ends."""
-        before = self._counts()
-        for _ in range(50):
-            self.clock.wait(0.02)
-            counts = self._counts()
-            if abs(counts - before) <= 1:
-                break
-            before = counts
+        counts, n = self.card.read("position and time")
+        answered_s = self.clock.now()
+        self._check_reach(counts, asked_s, answered_s)
+        if self._tick is None:
+            return counts, 0.5 * (asked_s + answered_s), 0.5 * (answered_s - asked_s)
+        tick_s, zero_s = self._tick
+        return counts, zero_s + tick_s * (n + 0.5), 0.5 * tick_s
 
     # ---- Motion
 
@@ -382,13 +313,17 @@ class GalilRig(LinkedRig):
         self.card.set("DC", self._acceleration)
 
     def _command(self, letters: str) -> None:
-        self.card.do(f"{letters}{self.card.axis}")
+        self.card.ask(f"{letters}{self.card.axis}")
 
     def _is_moving(self) -> bool:
-        return bool(self.card.integer(f"MG _BG{self.card.axis}", 0, 1))
+        return self.card.read("is moving") == [1.0]
 
     def _is_on(self) -> bool:
-        return not self.card.integer(f"MG _MO{self.card.axis}", 0, 1)
+        return self.card.read("is off") == [0.0]
+
+    def _stop(self) -> None:
+        self._command("ST")
+        self._wait_for_rest(self._fastest / self._acceleration)
 
     def _wait_for_rest(self, expected_s: float) -> None:
         """Poll until the profile is complete, for at most twice the expected time plus 2 s."""
@@ -398,10 +333,6 @@ class GalilRig(LinkedRig):
                 f"{self.card.name}: the axis is still moving after {allowed_s:.3g} s. Check the table.",
                 deadline_s=allowed_s,
             )
-
-    def _stop(self) -> None:
-        self._command("ST")
-        self._wait_for_rest(self._fastest / self._acceleration)
 
     def _make_safe(self) -> bool:
         """Stop (ST, or AB if that fails) and switch the motor off (MO). Reconnect first if the link is lost."""
@@ -415,7 +346,7 @@ class GalilRig(LinkedRig):
             try:
                 self._stop()
             except (RigTimeout, RigFault):
-                card.do("AB")
+                card.ask("AB")
                 self._wait_for_rest(0.0)
             self._command("MO")
             return not self._is_on()

@@ -11,22 +11,23 @@ no encoder, so the commanded rate is reported as the achieved rate.
 import contextlib
 import math
 import re
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-from undrift.base.clock import HOST, Clock
 from undrift.errors import InputError, LimitError, LinkError, RigError, RigFault, RigTimeout
 from undrift.live.transports import number_of
-from undrift.rig.link import Link, LinkedRig, LinkSettings, ask_until, end_of, link_settings
+from undrift.rig.link import Link, LinkedRig, LinkSettings, ReplyEnd, ask_until, end_of, link_settings
 from undrift.rig.rig import Position, RigSettings, check_free, in_words, steady_angle
 from undrift.units import RADIAN_PER_DEGREE
 
 # ---- Commands: lines, and single characters that act immediately.
 
-STATES = ("Idle", "Run", "Hold", "Jog", "Alarm", "Door", "Check", "Home", "Sleep")
 MOVING = ("Jog", "Run", "Hold", "Home")
+FAULTS = {"Alarm": "an alarm", "Door": "the safety door is open"}  # states in which the board does not move
 JOG_CANCEL, HOLD, RESET = b"\x85", b"!", b"\x18"
-PLACE = re.compile(r"-?\d{1,9}\.\d{1,6}(?:,-?\d{1,9}\.\d{1,6}){0,5}")
+PLACE = r"-?\d{1,9}\.\d{1,6}"
+STATUS = re.compile(
+    rf"<(Idle|Run|Hold|Jog|Alarm|Door|Check|Home|Sleep)(?::\d)?\|([MW])Pos:({PLACE}(?:,{PLACE}){{0,5}})(?:\|.*)?>"
+)
 KNOWN = re.compile(r"|ok|\[.*\]|<.*>|\$\d{1,3}=.*|Grbl .*|ALARM:\d{1,2}|error:\d{1,3}")
 
 reply_end = end_of(rb"(?:^|\n)(?:ok|error:\d{1,3})[ \t]*\r?\n")
@@ -34,31 +35,10 @@ status_end = end_of(rb"<[^<>\r\n]*>\r?\n")
 welcome_end = end_of(rb"Grbl[^\r\n]*\r?\n")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GrblStatus:
-    """Contents of a status line."""
-
-    state: str  # a member of STATES
-    # machine positions (MPos) of all axes, deg for rotary axes, or None if the line has work positions
-    machine: tuple[float, ...] | None
-
-
-def parse_status(line: str, name: str) -> GrblStatus:
-    """Parse a status line. Raise LinkError if any part is malformed."""
-    fields = line.strip().removeprefix("<").removesuffix(">").split("|")
-    state = fields[0].split(":")[0]
-    labelled = dict(field.split(":", 1) for field in fields[1:] if ":" in field)
-    place = labelled.get("MPos")
-    if state not in STATES or not (place or "WPos" in labelled) or (place and not PLACE.fullmatch(place)):
-        raise LinkError(f"{name}: expected a status line, got {line!r}. Check cable and baud rate.")
-    return GrblStatus(state=state, machine=tuple(float(number) for number in place.split(",")) if place else None)
-
-
 class GrblBoard(Link):
     """Commands of a GRBL board."""
 
-    def __init__(self, url: str, settings: LinkSettings = LinkSettings(), clock: Clock = HOST) -> None:
-        self.clock, self.alarm = clock, ""
+    def __init__(self, url: str, settings: LinkSettings = LinkSettings()) -> None:
         super().__init__(url, replace(settings, reply_end=reply_end))
 
     def do(self, line: str) -> list[str]:
@@ -66,69 +46,44 @@ class GrblBoard(Link):
         *answer, last = self._lines(line)
         if last.startswith("error:"):
             code = int(last.removeprefix("error:"))
-            cause = f"error {code}: {in_words('grbl_error', code)}"
             raise RigFault(
-                f"{self.name}: the board rejected '{line}' ({cause}). Check its state.", code=code, command=line
+                f"{self.name}: the board rejected '{line}' (error {code}: {in_words('grbl_error', code)}). Check its state.",
+                code=code,
+                command=line,
             )
         return answer
 
-    def status(self) -> GrblStatus:
-        """Return the status (``?``)."""
-        return parse_status(self._lines("?", until=status_end, terminator="")[-1], self.name)
+    def status(self) -> tuple[str, list[float]]:
+        """Return the state, and the machine positions of all axes, deg for rotary axes (``?``)."""
+        line = self._lines("?", until=status_end, terminator="")[-1]
+        match = STATUS.fullmatch(line)
+        if match is None:
+            raise LinkError(f"{self.name}: expected a status line, got {line!r}. Check cable and baud rate.")
+        if match[2] != "M":
+            raise LinkError(f"{self.name}: the board reports work positions, not machine positions. Set $10 to 1.")
+        return match[1], [float(number) for number in match[3].split(",")]
+
+    def state(self) -> str:
+        """Return the state."""
+        return self.status()[0]
 
     def status_anew(self) -> str:
         """Ask for the status and discard all bytes before it. Return the status line."""
-        return self.ask_anew("?", status_end, terminator="")
+        return self.exchange("?", until=status_end, terminator="", anew=True)
 
     def reset(self) -> str:
         """Reset (0x18) and return the greeting. Motion ends immediately, the queue is cleared and the link is in step."""
-        deadline_s = max(self.settings.reply_timeout_s, 3.0)
-        answer = self.ask_anew(RESET.decode("latin-1"), welcome_end, deadline_s, terminator="")
-        self.alarm = ""
+        wait_s = max(self.settings.reply_timeout_s, 3.0)
+        answer = self.exchange(RESET.decode("latin-1"), wait_s, until=welcome_end, terminator="", anew=True)
         return answer.strip().splitlines()[-1]
 
-    def wait_for(self, states: tuple[str, ...], expected_s: float = 0.0) -> GrblStatus:
-        """Poll the status until its state is in `states`, for at most twice the expected time plus 2 s."""
-        allowed_s, expected = 2.0 * expected_s + 2.0, " or ".join(states)
-
-        def reached() -> GrblStatus | None:
-            status = self.status()
-            if status.state in ("Alarm", "Door") and status.state not in states:
-                raise RigFault(
-                    f"{self.name}: expected state {expected}, got {self.alarm_text(status)}. Check the table."
-                )
-            return status if status.state in states else None
-
-        if (status := ask_until(reached, self.clock, allowed_s)) is None:
-            raise RigTimeout(
-                f"{self.name}: expected state {expected} within {allowed_s:.3g} s, got {self.status().state}. Check the table.",
-                deadline_s=allowed_s,
-            )
-        return status
-
-    def sleep(self) -> bool:
-        """Switch the motor off (``$SLP``)."""
-        self.do("$SLP")
-        return self.wait_for(("Sleep",)).state == "Sleep"
-
-    def alarm_text(self, status: GrblStatus) -> str:
-        """Return the reason why the board does not move, for messages."""
-        if status.state == "Door":
-            return "the safety door is open"
-        return f"an alarm: {self.alarm}" if self.alarm else "an alarm"
-
-    def _lines(
-        self, question: str, *, until: Callable[[bytes], int] | None = None, terminator: str | None = None
-    ) -> list[str]:
-        """Return the lines of an answer, store an alarm, and raise LinkError for a line that GRBL never sends."""
+    def _lines(self, question: str, *, until: ReplyEnd | None = None, terminator: str | None = None) -> list[str]:
+        """Return the lines of an answer. Raise LinkError for a line that GRBL never sends."""
         answer = self.exchange(question, until=until, terminator=terminator)
         lines = [line.strip() for line in answer.splitlines() if line.strip()]
         for line in lines:
             if not KNOWN.fullmatch(line):
                 raise LinkError(f"{self.name}: {line!r} is not an answer to '{question}'. Check cable and baud rate.")
-            if line.startswith("ALARM:"):
-                code = int(line.removeprefix("ALARM:"))
-                self.alarm = f"{in_words('grbl_alarm', code)} (alarm {code})"
         return lines
 
 
@@ -136,7 +91,6 @@ class GrblBoard(Link):
 
 AXES = "XYZABC"
 STEPS, RATE, ACCELERATION = 100, 110, 120  # settings of the first axis: steps/deg, deg/min, deg/s2
-SLACK_DEG = 1.0  # tolerance of a position, deg, since the clocks of driver and board differ
 SLOWEST_DEG_PER_MIN = 1.0  # lowest rate of GRBL, which replaces lower rates with it
 
 
@@ -145,24 +99,11 @@ class GrblRig(LinkedRig):
 
     stopped = "The table was stopped and its motor put to sleep."
     unconfirmed = "It is NOT CONFIRMED that the table stopped. Cut the motor's power."
+    unit, slack = "deg", 1.0  # the clocks of driver and board differ
 
     def __init__(self, board: GrblBoard, settings: RigSettings = RigSettings()) -> None:
-        super().__init__(board, settings.limits)
-        self.board, self._axis, self._enabled = board, settings.axis or "A", False
-        self._last: tuple[float, float] | None = None  # last position, deg, and the time of its question, s
-        self.fastest_dps = math.inf
-        try:
-            if settings.accept != "moving" and board.name.startswith("tcp:"):  # opening a serial port resets the board
-                state = board.status().state
-                check_free(board.name, "moving" if state in MOVING else "", settings)
-            self._greeting = self._wake_up()
-            self._steps_per_deg = self._stored(STEPS)[1]
-            self.fastest_dps = self._stored(RATE)[1] / 60.0
-            self._acceleration_dps2 = self._stored(ACCELERATION)[1]
-            self._place_deg = self._home_deg = self._read_place()
-        except RigError:
-            board.close()
-            raise
+        self.board, self._axis = board, settings.axis or "A"
+        super().__init__(board, settings)
 
     def identify(self) -> str:
         """Return the firmware's greeting and the answer to ``$I``."""
@@ -174,11 +115,12 @@ class GrblRig(LinkedRig):
         with self._guarded():
             self._stop()
             if not on:
-                self.board.sleep()
+                self._sleep()
             else:
-                if self.board.status().state == "Sleep":
+                if self.board.state() == "Sleep":
                     self._wake_up()
-                self.board.wait_for(("Idle",))
+                self._wait_for(("Idle",))
+                self._read_place()
             self._enabled = on
 
     def set_acceleration(self, acceleration: float) -> float:
@@ -203,21 +145,21 @@ class GrblRig(LinkedRig):
         self.limits.check_turn_rate(turn_rate)
         deg_per_min = round(60.0 * turn_rate / RADIAN_PER_DEGREE, 3)
         rate_dps = deg_per_min / 60.0
-        if not SLOWEST_DEG_PER_MIN <= abs(deg_per_min) <= 60.0 * self.fastest_dps:
+        if not SLOWEST_DEG_PER_MIN <= abs(deg_per_min) <= 60.0 * self._fastest:
             raise LimitError(
-                f"turn rate must be {SLOWEST_DEG_PER_MIN / 60:.4f} to {self.fastest_dps:g} deg/s, "
+                f"turn rate must be {SLOWEST_DEG_PER_MIN / 60:.4f} to {self._fastest:g} deg/s, "
                 f"got {abs(rate_dps):.4f}. Choose another rate.",
                 turn_rate=turn_rate,
             )
         steps = round(steady_angle(rate_dps, seconds, self._acceleration_dps2) * self._steps_per_deg)
         distance_deg = steps / self._steps_per_deg
-        self.limits.check_travel((self._place_deg - self._home_deg + distance_deg) * RADIAN_PER_DEGREE)
+        self.limits.check_travel((self._last - self._home_deg + distance_deg) * RADIAN_PER_DEGREE)
         with self._guarded():
-            status = self.board.status()
-            if status.state != "Idle":
-                state = self.board.alarm_text(status) if status.state in ("Alarm", "Door") else status.state
+            state = self.board.state()
+            if state != "Idle":
                 raise RigFault(
-                    f"{self.board.name}: the board is not idle, got {state}. Enable the rig and check the table."
+                    f"{self.board.name}: the board is not idle, got {FAULTS.get(state, state)}. Enable the rig and check the "
+                    "table."
                 )
             self.board.do(f"$J=G91G21{self._axis}{distance_deg:.5f}F{abs(deg_per_min):.3f}")
         return rate_dps * RADIAN_PER_DEGREE
@@ -230,28 +172,37 @@ class GrblRig(LinkedRig):
     def position(self) -> Position:
         """Return the commanded angle since the rig was opened, rad."""
         with self._guarded():
-            before_s = self.board.clock.now()
+            before_s = self.clock.now()
             angle = (self._read_place() - self._home_deg) * RADIAN_PER_DEGREE
-            after_s = self.board.clock.now()
+            after_s = self.clock.now()
         return Position(angle=angle, time=0.5 * (before_s + after_s), within_s=0.5 * (after_s - before_s))
 
     def fault(self) -> str | None:
         """Return a description of the fault, or None."""
         with self._guarded():
-            status = self.board.status()
-        if status.state in ("Alarm", "Door"):
-            return self.board.alarm_text(status)
-        return "the motor is asleep though it was switched on" if self._enabled and status.state == "Sleep" else None
+            state = self.board.state()
+        asleep = self._enabled and state == "Sleep"
+        return "the motor is asleep though it was switched on" if asleep else FAULTS.get(state)
+
+    def _prepare(self, settings: RigSettings) -> None:
+        """Check that the table is free, reset the board, and read its settings and its position."""
+        if settings.accept != "moving" and self.board.name.startswith("tcp:"):  # opening a serial port resets the board
+            check_free(self.board.name, "moving" if self.board.state() in MOVING else "", settings)
+        self._greeting = self._wake_up()
+        self._steps_per_deg = self._stored(STEPS)[1]
+        self._fastest = self._stored(RATE)[1] / 60.0
+        self._acceleration_dps2 = self._stored(ACCELERATION)[1]
+        self._home_deg = self._read_place()
 
     def _wake_up(self) -> str:
         """Reset and return the greeting. If the reset interrupts motion or sleep, clear the alarm that follows."""
-        self._last = None
+        self._last = math.nan
         try:
             answer = self.board.status_anew()
         except RigTimeout:  # opening a serial port restarts some boards
             answer = ""
         greeting = self.board.reset()
-        if self.board.status().state == "Alarm" and any(f"<{state}" in answer for state in ("Sleep", *MOVING)):
+        if self.board.state() == "Alarm" and any(f"<{state}" in answer for state in ("Sleep", *MOVING)):
             self.board.do("$X")
         return greeting
 
@@ -269,32 +220,43 @@ class GrblRig(LinkedRig):
         return number, value
 
     def _read_place(self) -> float:
-        """Return the machine position of the axis, deg. A position that the axis cannot have reached raises LinkError."""
-        asked_s, name = self.board.clock.now(), self.board.name
-        machine = self.board.status().machine
-        if machine is None:
-            raise LinkError(f"{name}: the board reports work positions, not machine positions. Set $10 to 1.")
-        index = AXES.index(self._axis) if len(machine) > 1 else 0
-        if index >= len(machine):
+        """Return the machine position of the axis, deg."""
+        asked_s = self.clock.now()
+        _, places = self.board.status()
+        index = AXES.index(self._axis) if len(places) > 1 else 0
+        if index >= len(places):
             raise LinkError(
-                f"{name}: no position of axis {self._axis} among the {len(machine)} positions. Set another axis."
+                f"{self.board.name}: no position of axis {self._axis} among the {len(places)} positions. Set another axis."
             )
-        place_deg, (last_deg, then) = machine[index], self._last or (machine[index], asked_s)
-        reach_deg = 1.5 * self.fastest_dps * (self.board.clock.now() - then) + SLACK_DEG
-        if abs(place_deg - last_deg) > reach_deg:
-            raise LinkError(
-                f"{name}: expected a position within {reach_deg:.1f} deg of {last_deg:g}, got {place_deg:g}. "
-                "The board was restarted, the answer is corrupted, or clock_speed is wrong.",
-                place_deg=place_deg,
+        self._check_reach(places[index], asked_s, self.clock.now())
+        return places[index]
+
+    def _wait_for(self, states: tuple[str, ...], expected_s: float = 0.0) -> None:
+        """Poll the status until its state is in `states`, for at most twice the expected time plus 2 s."""
+        allowed_s, expected = 2.0 * expected_s + 2.0, " or ".join(states)
+
+        def has_arrived() -> bool:
+            state = self.board.state()
+            if state in FAULTS:
+                raise RigFault(f"{self.board.name}: expected state {expected}, got {FAULTS[state]}. Check the table.")
+            return state in states
+
+        if not ask_until(has_arrived, self.clock, allowed_s):
+            raise RigTimeout(
+                f"{self.board.name}: expected state {expected} within {allowed_s:.3g} s, got {self.board.state()}. Check the "
+                "table.",
+                deadline_s=allowed_s,
             )
-        self._last, self._place_deg = (place_deg, asked_s), place_deg
-        return place_deg
+
+    def _sleep(self) -> None:
+        self.board.do("$SLP")
+        self._wait_for(("Sleep",))
 
     def _stop(self) -> None:
         """End the jog and wait until the axis is at rest."""
-        if self.board.status().state in ("Jog", "Run", "Hold"):
+        if self.board.state() in ("Jog", "Run", "Hold"):
             self.board.send(JOG_CANCEL)
-            self.board.wait_for(("Idle",), self.fastest_dps / self._acceleration_dps2)
+            self._wait_for(("Idle",), self._fastest / self._acceleration_dps2)
         self._read_place()
 
     def _make_safe(self) -> bool:
@@ -306,17 +268,18 @@ class GrblRig(LinkedRig):
             board.send(JOG_CANCEL)
             board.status_anew()
             with contextlib.suppress(RigTimeout, RigFault):
-                board.wait_for(("Idle", "Sleep"), 10.0)  # a reset during motion loses the position
+                self._wait_for(("Idle", "Sleep"), 10.0)  # a reset during motion loses the position
             board.reset()
-            return board.sleep()
+            self._sleep()
         except RigError:
             with contextlib.suppress(RigError):
                 board.send(JOG_CANCEL + HOLD + RESET)  # the board may still receive commands
             return False
+        return True
 
 
 def open_from(url: str, settings: RigSettings) -> GrblRig:
     """Open a GRBL rig."""
     if settings.axis not in ("", *AXES):
         raise InputError(f"grbl: axis must be X, Y, Z, A, B or C, got '{settings.axis}'. Set another axis.")
-    return GrblRig(GrblBoard(url, link_settings(settings, 115_200), settings.timing), settings)
+    return GrblRig(GrblBoard(url, link_settings(settings, 115_200)), settings)

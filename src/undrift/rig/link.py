@@ -1,14 +1,15 @@
 """Links to rigs: questions and answers, each with a deadline, over TCP or a serial port.
 
 The caller that asks also reads the answer. Bytes that arrive between two exchanges are discarded. After an answer that is too late,
-the link is out of step: the late answer would be read as the next one. Such a link raises LinkError until `ask_anew` has
-resynchronised it.
+the link is out of step: the late answer would be read as the next one. Such a link raises LinkError until an exchange with `anew`
+has resynchronised it.
 
 A link is opened with a URL: ``tcp://host:port``, ``serial:///dev/ttyUSB0`` or a plain path (also of a pty). The pyserial URLs
 ``socket://host:port`` and ``loop://`` are also accepted.
 """
 
 import logging
+import math
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
@@ -17,9 +18,9 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from undrift.base.clock import HOST, Clock, Port
-from undrift.errors import InputError, LinkError, RigTimeout, check_positive
+from undrift.errors import InputError, LinkError, RigError, RigTimeout, check_positive
 from undrift.live.transports import POLL_S, SerialPort, host_and_port, reason_of, tcp_port
-from undrift.rig.rig import Limits, RigSettings
+from undrift.rig.rig import RigSettings
 
 T = TypeVar("T")
 ReplyEnd = Callable[[bytes], int]  # length of the first whole reply in the received bytes, or 0
@@ -51,21 +52,10 @@ class LinkSettings:
     reply_timeout_s: float = 2.0  # longest wait for a reply, s, unless an exchange overrides it
     connect_timeout_s: float = 5.0  # longest wait for a connection, s
     baud: int = 19200  # bits per second of a serial port
-    hardware_handshake: bool = False  # RTS/CTS of a serial port
     clock: Clock = HOST  # clock of the timeouts
 
     def __post_init__(self) -> None:
         check_positive(self, "link", "Set a positive value", "reply_timeout_s", "connect_timeout_s", "baud")
-
-
-def link_settings(settings: RigSettings, baud: int = 19200) -> LinkSettings:
-    """Return the link settings of a rig. The baud rate applies if the rig settings do not set one."""
-    return LinkSettings(
-        reply_timeout_s=settings.reply_timeout_s,
-        baud=settings.baud or baud,
-        hardware_handshake=settings.hardware_handshake,
-        clock=settings.timing.host,
-    )
 
 
 def open_port(url: str, settings: LinkSettings) -> Port:
@@ -78,12 +68,11 @@ def open_port(url: str, settings: LinkSettings) -> Port:
             "connection of the rig."
         )
     try:
-        if not host:
-            return SerialPort(url.removeprefix("serial://"), settings.baud, settings.hardware_handshake)
-        return tcp_port(host, port, settings.connect_timeout_s, settings.clock)
+        if host:
+            return tcp_port(host, port, settings.connect_timeout_s, settings.clock)
+        return SerialPort(url.removeprefix("serial://"), settings.baud)
     except (OSError, ValueError) as error:  # pyserial's SerialException is an OSError
-        reason = reason_of(error)
-        raise LinkError(f"{url}: cannot connect ({reason}). Check power, cable and address.") from error
+        raise LinkError(f"{url}: cannot connect ({reason_of(error)}). Check power, cable and address.") from error
 
 
 class Link(AbstractContextManager["Link"]):
@@ -105,29 +94,33 @@ class Link(AbstractContextManager["Link"]):
     def exchange(
         self,
         text: str,
-        deadline_s: float | None = None,
+        wait_s: float | None = None,
         *,
         until: ReplyEnd | None = None,
         terminator: str | None = None,
+        anew: bool = False,
     ) -> str:
-        """Send a question and return the answer."""
-        if not self._in_step:
+        """Send a question and return the answer. With `anew`, the question has a unique answer, so the link is in step again."""
+        if not (self._in_step or anew):
             raise LinkError(
                 f"{self.name}: cannot send '{text}', the link is out of step with its device. Resynchronise it first."
             )
-        reply = self._ask(text, deadline_s, until, terminator)
+        settings = self.settings
+        self._in_step = False  # stays False if an exception (also Ctrl-C) prevents reading the answer
+        while self._listen(0.0) and len(self._received) < LONGEST_REPLY:
+            pass
+        self._received.clear()
+        self.send((text + (settings.terminator if terminator is None else terminator)).encode("latin-1"))
+        reply = self._wait_for(
+            text, until or settings.reply_end, settings.reply_timeout_s if wait_s is None else wait_s
+        )
+        self._in_step = True
         try:
-            return reply.decode("ascii")
+            return reply.decode("ascii", errors="backslashreplace" if anew else "strict")
         except UnicodeDecodeError as error:
             raise LinkError(
                 f"{self.name}: the answer to '{text}' is not text: {reply[:80]!r}. Check baud rate and cable."
             ) from error
-
-    def ask_anew(
-        self, text: str, until: ReplyEnd, deadline_s: float | None = None, *, terminator: str | None = None
-    ) -> str:
-        """Send a question with a unique answer and discard all bytes before that answer, so that the link is in step again."""
-        return self._ask(text, deadline_s, until, terminator).decode("ascii", errors="backslashreplace")
 
     def send(self, data: bytes) -> None:
         """Send bytes without waiting for an answer."""
@@ -170,19 +163,12 @@ class Link(AbstractContextManager["Link"]):
         self._received.extend(data)
         return bool(data)
 
-    def _ask(self, text: str, deadline_s: float | None, until: ReplyEnd | None, terminator: str | None) -> bytes:
-        """Discard all received bytes, send a question, wait for the reply and remove it from the buffer."""
-        settings = self.settings
-        wait_s = settings.reply_timeout_s if deadline_s is None else deadline_s
-        reply_end = until or settings.reply_end
-        self._in_step = False  # stays False if an exception (also Ctrl-C) prevents reading the answer
-        while self._listen(0.0) and len(self._received) < LONGEST_REPLY:
-            pass
-        self._received.clear()
-        self.send((text + (settings.terminator if terminator is None else terminator)).encode("latin-1"))
-        last = settings.clock.now() + wait_s
+    def _wait_for(self, text: str, reply_end: ReplyEnd, wait_s: float) -> bytes:
+        """Wait for the whole reply to a question and remove it from the buffer."""
+        clock = self.settings.clock
+        last = clock.now() + wait_s
         while not (length := reply_end(bytes(self._received))):
-            beginning, left_s = bytes(self._received[:80]), last - settings.clock.now()
+            beginning, left_s = bytes(self._received[:80]), last - clock.now()
             if len(self._received) > LONGEST_REPLY:
                 raise LinkError(
                     f"{self.name}: the answer to '{text}' does not end, it starts with {beginning!r}. Check the baud rate."
@@ -198,11 +184,10 @@ class Link(AbstractContextManager["Link"]):
             self._listen(min(left_s, POLL_S))
         reply = bytes(self._received[:length])
         del self._received[:length]
-        self._in_step = True
         return reply
 
 
-# ---- Common parts of rigs with a link: waiting for a state, checks for a closed or lost rig, and a stop before an error is raised.
+# ---- Common parts of rigs with a link.
 
 
 def ask_until(ask: Callable[[], T], clock: Clock, within_s: float) -> T | None:
@@ -211,13 +196,27 @@ def ask_until(ask: Callable[[], T], clock: Clock, within_s: float) -> T | None:
 
 
 class LinkedRig(ABC):
-    """Base class of rigs with a link. Subclasses add the commands of their controller."""
+    """Base class of rigs with a link. A subclass has the commands of its controller, and makes the table safe after an error."""
 
     stopped = unconfirmed = ""  # state of the table after a failure, for messages
+    unit, slack = "", 0.0  # unit of a controller's positions, and their tolerance
 
-    def __init__(self, link: Link, limits: Limits) -> None:
-        self.limits, self._link = limits, link
+    def __init__(self, link: Link, settings: RigSettings) -> None:
+        self.limits, self.clock, self._link = settings.limits, settings.timing, link
+        self._enabled = False
         self._refused = ""  # reason to refuse all commands
+        self._fastest = math.inf  # largest rate, units/s
+        self._last = math.nan  # last position, units (NaN until the first one)
+        self._asked_s = 0.0  # time of its question, s
+        try:
+            self._prepare(settings)
+        except RigError:
+            link.close()
+            raise
+
+    @abstractmethod
+    def _prepare(self, settings: RigSettings) -> None:
+        """Check that the table is free, configure the controller and store the initial position."""
 
     @abstractmethod
     def _make_safe(self) -> bool:
@@ -238,18 +237,29 @@ class LinkedRig(ABC):
             )
 
     @contextmanager
-    def _safely(self) -> Iterator[None]:
-        """Stop and switch the motor off before an error of the link is raised."""
+    def _guarded(self) -> Iterator[None]:
+        """Raise LinkError if the rig is closed or lost. If the link fails within the block, make the table safe first."""
+        if self._refused:
+            raise LinkError(f"{self._link.name}: the rig accepts no commands ({self._refused}). Open it again.")
         try:
             yield
         except (LinkError, RigTimeout) as error:
             outcome = self.stopped if self._make_safe() else self.unconfirmed
             raise type(error)(f"{error} {outcome}", **error.numbers) from error
 
-    @contextmanager
-    def _guarded(self) -> Iterator[None]:
-        """Raise LinkError if the rig is closed or lost. If the link fails within the block, stop the axis."""
-        if self._refused:
-            raise LinkError(f"{self._link.name}: the rig accepts no commands ({self._refused}). Open it again.")
-        with self._safely():
-            yield
+    def _check_reach(self, place: float, asked_s: float, answered_s: float) -> None:
+        """Raise LinkError for a position that the axis cannot have reached since the last one, and store the position."""
+        reach = 1.5 * self._fastest * (answered_s - self._asked_s) + self.slack
+        if abs(place - self._last) > reach:
+            raise LinkError(
+                f"{self._link.name}: expected a position within {reach:.1f} {self.unit} of {self._last:g}, got {place:g}. "
+                "The controller was restarted, the answer is corrupted, or clock_speed is wrong.",
+                place=place,
+            )
+        self._last, self._asked_s = place, asked_s
+
+
+def link_settings(settings: RigSettings, baud: int = 19200) -> LinkSettings:
+    """Return the link settings of a rig. The baud rate applies if the rig settings do not set one."""
+    clock = settings.timing.host
+    return LinkSettings(reply_timeout_s=settings.reply_timeout_s, baud=settings.baud or baud, clock=clock)

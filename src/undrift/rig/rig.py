@@ -26,37 +26,9 @@ from undrift.plugins import load_named, split_address
 from undrift.programme import Dwell, Programme
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
-# ---- Conversion between counts (encoder or stepper) and angles, and rounding of commands.
+# ---- Rounding of commands to counts of an encoder.
 
 COUNTS_PER_LINE = 4
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CountScale:
-    """Number of counts per turn."""
-
-    counts_per_turn: float  # counts (or steps) in 2 pi
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.counts_per_turn) and self.counts_per_turn > 0.0):
-            raise InputError(
-                f"encoder: counts per turn must be positive, got {self.counts_per_turn:g}. Check its data sheet."
-            )
-
-    @classmethod
-    def from_lines(cls, encoder_lines: int) -> "CountScale":
-        """Return the scale of an encoder from the number of lines on its disc."""
-        return cls(counts_per_turn=float(COUNTS_PER_LINE * encoder_lines))
-
-    def angle(self, counts: float) -> float:
-        """Return the angle of counts (or the rate of counts/s)."""
-        return counts * (2.0 * math.pi / self.counts_per_turn)
-
-    def counts(self, angle: float) -> float:
-        """Return the counts of an angle, not rounded."""
-        if not math.isfinite(angle):
-            raise InputError(f"rig: angle or rate must be finite, got {angle}. Check how it was computed.")
-        return angle * (self.counts_per_turn / (2.0 * math.pi))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,29 +79,25 @@ class Limits:
     def check_turn_rate(self, turn_rate: float) -> None:
         """Raise LimitError if a rate is beyond the limits."""
         if not abs(turn_rate) <= self.turn_rate * ROUNDING:
-            raise LimitError(
-                f"turn rate: at most {self.turn_rate / DPS:.6g} deg/s is allowed in either direction, got "
-                f"{turn_rate / DPS:.6g}. Choose a lower rate, or set another limit.",
-                turn_rate=turn_rate,
-            )
+            raise _limit_error("turn rate", "deg/s in either direction", turn_rate, self.turn_rate)
 
     def check_acceleration(self, acceleration: float) -> None:
         """Raise LimitError if an acceleration is beyond the limits."""
         if not 0.0 < acceleration <= self.acceleration * ROUNDING:
-            raise LimitError(
-                f"acceleration: at most {self.acceleration / DPS:.6g} deg/s2 is allowed, got {acceleration / DPS:.6g}. Choose a "
-                "smaller acceleration above 0, or set another limit.",
-                acceleration=acceleration,
-            )
+            raise _limit_error("acceleration", "deg/s2 and more than 0", acceleration, self.acceleration)
 
     def check_travel(self, angle: float) -> None:
         """Raise LimitError if an angle is beyond the travel."""
         if self.travel is not None and not abs(angle) <= self.travel * ROUNDING:
-            raise LimitError(
-                f"travel: at most {self.travel / DPS:.6g} deg from the start is allowed, got {angle / DPS:.6g}. "
-                "Choose a shorter move, or set another limit.",
-                angle=angle,
-            )
+            raise _limit_error("travel", "deg from the start", angle, self.travel)
+
+
+def _limit_error(name: str, unit: str, value: float, largest: float) -> LimitError:
+    return LimitError(
+        f"{name}: at most {largest / DPS:.6g} {unit} is allowed, got {value / DPS:.6g}. Choose another value, or set another "
+        "limit.",
+        value=value,
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -322,7 +290,7 @@ def check_programme(
 
 @cache
 def codes(kind: str) -> dict[str, str]:
-    """Return the meanings of a kind of code: galil_error (TC), galil_stop (SC), grbl_error, grbl_alarm."""
+    """Return the meanings of a kind of code: galil_error (TC), galil_stop (SC), grbl_error."""
     table: dict[str, str] = tomllib.loads((files("undrift.rig") / "codes.toml").read_text(encoding="utf-8"))[kind]
     return table
 
@@ -348,13 +316,20 @@ class RigSettings:
     encoder_lines: int = 10_000  # lines of a servo's encoder, 4 counts each
     axis: str = ""  # letter of the axis ("" selects the rig's default)
     baud: int = 0  # bits per second of a serial port (0 selects the rig's default)
-    hardware_handshake: bool = False  # RTS/CTS of a serial port
     reply_timeout_s: float = 2.0  # longest wait for an answer, s
     accept: Literal["off", "on", "moving"] = "moving"  # state of the motor in which a table may be opened
     clock_speed: float = 1.0  # table seconds per host second (1 for hardware)
     clock: Clock | None = None  # clock of the table (None selects the host's clock at clock_speed)
     # prints a line for a person and returns the typed answer (required for a manual rig)
     ask: Callable[[str], str] | None = None
+
+    def __post_init__(self) -> None:
+        check_positive(self, "rig", "Check the data sheet of the encoder", "encoder_lines")
+
+    @property
+    def count(self) -> float:
+        """Angle of one count of the encoder, rad."""
+        return 2.0 * math.pi / (COUNTS_PER_LINE * self.encoder_lines)
 
     @property
     def timing(self) -> Clock:
@@ -366,7 +341,6 @@ OPTIONS: dict[str, Callable[[str], object]] = {
     "encoder_lines": int,
     "axis": str.upper,
     "baud": int,
-    "hardware_handshake": lambda text: {"yes": True, "no": False}[text],
     "reply_timeout_s": float,
     "clock_speed": float,
 }
@@ -397,7 +371,7 @@ def parse_address(address: str, settings: RigSettings = RigSettings()) -> tuple[
             raise InputError(f"rig: unknown option '{name}' in the address. Use one of {', '.join(OPTIONS)}.")
         try:
             settings = replace(settings, **{name: OPTIONS[name](text)})  # type: ignore[arg-type]
-        except (ValueError, KeyError) as error:
+        except ValueError as error:
             raise InputError(f"rig: '{text}' is not a value for {name}. Correct the address.") from error
     if kind == "simulated" and settings.clock is None:
         if not settings.clock_speed > 0.0:

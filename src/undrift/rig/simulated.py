@@ -28,7 +28,6 @@ from undrift.rig.chamber import Chamber, ChamberSetup
 from undrift.rig.rig import (
     ACCELERATION,
     SLEW,
-    CountScale,
     Limits,
     Position,
     RigSettings,
@@ -214,7 +213,7 @@ class SimulatedTable:
 
     def __init__(self, bench: SimulatedBench, limits: Limits) -> None:
         self.limits, self._bench = limits, bench
-        self._scale = CountScale.from_lines(bench.settings.servo.encoder_lines)
+        self._count = 1.0 / bench.settings.servo.counts_per_rad
         self._acceleration = 256_000.0  # counts/s2
         self._fault: str | None = None
 
@@ -238,19 +237,19 @@ class SimulatedTable:
         """Set the acceleration of both ramps and return the achieved acceleration."""
         self.limits.check_acceleration(acceleration)
         self._answer()
-        self._acceleration = ACCELERATION.round(self._scale.counts(acceleration))
-        return self._scale.angle(self._acceleration)
+        self._acceleration = ACCELERATION.round(acceleration / self._count)
+        return self._acceleration * self._count
 
     def turn_for(self, turn_rate: float, seconds: float) -> float:
         """Turn at a steady rate for a time that includes both ramps, and return the achieved rate."""
         self.limits.check_turn_rate(turn_rate)
         self._answer(moving=True)
-        speed = SLEW.round(self._scale.counts(turn_rate))
-        angle = self._scale.angle(steady_angle(speed, seconds, self._acceleration))
+        speed = SLEW.round(turn_rate / self._count)
+        angle = steady_angle(speed, seconds, self._acceleration) * self._count
         self.limits.check_travel(self._bench.angle() + angle)
         self._fault = None
         self._bench.servo.turn(speed, seconds, self._acceleration)
-        return self._scale.angle(speed)
+        return speed * self._count
 
     def stop(self) -> None:
         """Slow down and wait until the axis is at rest. The motor stays on."""
@@ -262,14 +261,14 @@ class SimulatedTable:
     def position(self) -> Position:
         """Return the current position of the encoder."""
         self._answer()
-        counts = math.floor(self._scale.counts(self._bench.angle()))
+        counts = math.floor(self._bench.angle() * self._bench.servo.settings.counts_per_rad)
         within_s = 0.5 * self._bench.settings.servo.period_s
-        return Position(angle=self._scale.angle(counts), time=self._bench.clock.now(), within_s=within_s)
+        return Position(angle=counts * self._count, time=self._bench.clock.now(), within_s=within_s)
 
     def following_error(self) -> float:
         """Return commanded minus actual angle, rad."""
         self._answer()
-        return self._scale.angle(self._bench.servo.error)
+        return self._bench.servo.error * self._count
 
     def fault(self) -> str | None:
         """Return a description of the fault, or None."""
