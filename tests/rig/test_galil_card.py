@@ -127,7 +127,7 @@ def test_an_answer_ends_at_a_prompt_that_opens_a_line(received, end):
     ],
 )
 def test_an_answer_of_another_form_is_an_error_and_never_a_number(question, answer):
-    with Talk(lambda command: answer) as talk, pytest.raises(LinkError, match="not an answer to|is not text"):
+    with Talk(lambda command: answer) as talk, pytest.raises(LinkError, match=r"not an answer to|is not text"):
         talk.card.read(question)
 
 
