@@ -48,9 +48,9 @@ def test_a_protocol_gives_its_rates_in_radians() -> None:
     [
         ({"faces": (), "turn_rate_step": 0.0}, "faces, rates and turns"),
         ({"dwell_s": None}, "dwell_s and turn_rate_uncertainty"),
-        ({"dwell_s": 0.0}, "dwell_s must be positive"),
+        ({"dwell_s": 0.0}, "`dwell_s` must be above 0"),
         ({"temperatures_c": (30.0, 20.0)}, "temperatures must increase"),
-        ({"acceleration": -1.0}, "acceleration must be positive"),
+        ({"acceleration": -1.0}, "`acceleration` must be above 0"),
         ({"face_s": float("nan")}, "face_s .*got nan"),
     ],
 )

@@ -16,13 +16,14 @@ from testkit.data import show
 from testkit.disk import preloaded
 from testkit.printing_board import PrintingBoard, sketch_line
 from testkit.talking_device import TalkingDevice
+from undrift.base.clock import Clock
 from undrift.commands import Screen
 from undrift.commands import record as recording
 from undrift.io.formats import read_record
 from undrift.io.session import read_session
 from undrift.io.store import read_calibration
 from undrift.live import transports
-from undrift.live.hands import HandHeld, start_hand_held
+from undrift.live.hands import HandHeld
 from undrift.record import Face
 from undrift.sim.device.truth import true_calibration
 
@@ -38,11 +39,11 @@ def board() -> Iterator[PrintingBoard]:
 # ---- From a port to a file
 
 
-def test_the_baud_rate_is_found(tmp_path):
+def test_another_baud_rate_is_asked_for_and_taken_from_the_address(undrift, tmp_path):
     with PrintingBoard(baud=57_600) as board:
         board.print_lines()
-        made = recording(board.port, output=tmp_path / "a.csv", duration_s=1.0)
-    assert "baud=57600" in made.data["address"]
+        assert "?baud=9600" in undrift("record", "--port", board.port, "-o", tmp_path / "a.csv").err
+        made = recording(f"{board.port}?baud=57600", output=tmp_path / "a.csv", duration_s=1.0)
     assert made.data["garbled"] == 0
 
 
@@ -196,7 +197,7 @@ class Operator(Screen):
 @pytest.fixture
 def held() -> Iterator[tuple[PrintingBoard, Operator]]:
     ended = threading.Event()
-    with start_hand_held(seed=3, speed=HELD_SPEED) as hands, PrintingBoard(patience_s=1.0) as board:
+    with HandHeld(seed=3, clock=Clock.started(HELD_SPEED)) as hands, PrintingBoard(patience_s=1.0) as board:
 
         def send() -> None:
             while not ended.wait(0.02):

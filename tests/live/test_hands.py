@@ -8,9 +8,10 @@ import pytest
 from testkit.quiet import without_noise
 from testkit.virtual_clock import VirtualClock
 from testkit.waiting import eventually
+from undrift.base.clock import Clock
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate
-from undrift.live.hands import ANGLE_SD, TILT_SD, start_hand_held
+from undrift.live.hands import ANGLE_SD, TILT_SD, HandHeld
 from undrift.live.recorder import Recorder
 from undrift.live.transports import source_at
 from undrift.record import FACES
@@ -25,7 +26,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 @pytest.fixture
 def held():
-    with start_hand_held(seed=4, device=DEVICE, clock=VirtualClock()) as made:
+    with HandHeld(seed=4, device=DEVICE, clock=VirtualClock()) as made:
         yield made
 
 
@@ -84,7 +85,7 @@ def test_what_the_gyroscopes_feel_turns_gravity_as_the_accelerometers_feel_it(he
 def test_a_rate_is_the_mean_rate_of_a_short_step(held):
     held.turn("y", TURN)
     _, rate, _, _ = truth(held, 3.0, step_s=0.001)
-    with start_hand_held(seed=4, device=DEVICE, clock=VirtualClock()) as other:
+    with HandHeld(seed=4, device=DEVICE, clock=VirtualClock()) as other:
         other.turn("y", TURN)
         other.clock.wait(3.0)
         # the mean over a step ends at the moment: behind by half of it
@@ -112,7 +113,7 @@ def test_a_turn_is_by_the_angle_about_the_axis_but_for_what_hands_err(held):
 
 def test_a_slow_gyroscope_is_turned_within_its_range():
     slow = random_device(np.random.default_rng(2), grade="enc03j_3031")
-    with start_hand_held(seed=4, device=slow, clock=VirtualClock()) as held:
+    with HandHeld(seed=4, device=slow, clock=VirtualClock()) as held:
         held.turn("z", TURN)
         assert np.abs(truth(held, 20.0)[1]).max() < slow.gyro.full_scale
 
@@ -120,7 +121,7 @@ def test_a_slow_gyroscope_is_turned_within_its_range():
 def test_the_readings_do_not_depend_on_how_often_the_device_is_looked_at():
     said = []
     for steps in ([3.0], [0.07] * 30 + [0.9]):
-        with start_hand_held(seed=4, device=without_noise(DEVICE), clock=VirtualClock()) as held:
+        with HandHeld(seed=4, device=without_noise(DEVICE), clock=VirtualClock()) as held:
             rows = []
             held.turn("x", TURN)
             for step in steps:
@@ -154,7 +155,7 @@ def test_what_cannot_be_is_refused(held):
 
 def test_its_address_is_read_by_live_at_the_speed_it_has():
     with (
-        start_hand_held(seed=4, device=DEVICE, speed=10.0) as held,
+        HandHeld(seed=4, device=DEVICE, clock=Clock.started(10.0)) as held,
         Recorder(source_at(held.address)) as recorder,
     ):
         start = recorder.now()
@@ -162,7 +163,7 @@ def test_its_address_is_read_by_live_at_the_speed_it_has():
         eventually(lambda: not held.moving and recorder.now() > start + 1.0, "the device rests")
         record = recorder.between(start, recorder.now())
     assert record.device == DEVICE.serial
-    assert record.sample_rate_hz == pytest.approx(held.rate)
+    assert record.sample_rate_hz == pytest.approx(held.description.rate)
     assert record.duration_s > 8.0
     assert record.accel[-1, 0] == pytest.approx(-DEVICE.accel.gain * STANDARD_GRAVITY, rel=0.05)
     assert recorder.timeline.marker.missing == 0
@@ -172,7 +173,7 @@ def test_its_address_is_read_by_live_at_the_speed_it_has():
 
 def test_a_device_that_nobody_holds_is_laid_on_all_faces_and_turned_about_all_axes():
     clock = VirtualClock()
-    with start_hand_held(seed=4, device=without_noise(DEVICE), clock=clock) as held:
+    with HandHeld(seed=4, device=without_noise(DEVICE), clock=clock) as held:
         held.follow()
         rested = set()
         turned = np.zeros(3)
@@ -194,5 +195,5 @@ def test_an_address_that_says_something_else_is_refused(address):
 
 
 def test_a_device_is_drawn_from_the_seed_or_anew():
-    with start_hand_held(seed=5) as one, start_hand_held(seed=5) as same, start_hand_held() as other:
+    with HandHeld(seed=5) as one, HandHeld(seed=5) as same, HandHeld() as other:
         assert one.device.serial == same.device.serial != other.device.serial

@@ -145,7 +145,6 @@ def test_a_way_without_bytes_and_a_description_stay_as_they_are():
 
 def test_silence_and_other_bytes_are_refused(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("undrift.live.log.SILENCE_S", 0.3)
-    monkeypatch.setattr("undrift.live.log.TRY_S", 0.1)
     with Sender([]) as silent, pytest.raises(RigTimeout, match=r"no text within 0\.3 s"):
         described_address(f"tcp://127.0.0.1:{silent.port}")
     with (

@@ -15,7 +15,7 @@ from undrift.errors import InputError, LimitError, LinkError, RigFault, RigTimeo
 from undrift.rig import galil as axis_module
 from undrift.rig.galil import GalilCard, GalilRig, open_from
 from undrift.rig.link import LinkSettings
-from undrift.rig.rig import Limits, RigSettings, turn_by
+from undrift.rig.rig import Limits, RigSettings
 
 DEGREE = math.pi / 180.0
 PATIENT = LinkSettings(reply_timeout_s=30.0, connect_timeout_s=30.0)
@@ -124,21 +124,6 @@ def test_an_acceleration_is_a_multiple_of_1024_for_run_up_and_slow_down(bench):
     achieved = bench.rig.set_acceleration(40.0)
     assert bench.sent == ["AC 254976", "DC 254976"]
     assert achieved == pytest.approx(254_976 * 2 * math.pi / 40_000, rel=1e-12)
-
-
-@pytest.mark.parametrize("angle_deg", [-90.0, 0.9, 360.0])
-def test_a_turn_by_an_angle_is_one_finite_move(bench, angle_deg):
-    acceleration = 256_000 * 2.0 * math.pi / 40_000
-    assert turn_by(bench.rig, angle_deg * DEGREE, acceleration, bench.clock) / DEGREE == pytest.approx(
-        angle_deg, abs=0.02
-    )
-    assert sum(line == "BGX" for line in bench.sent) == 1
-
-
-def test_a_turn_that_falls_short_is_a_fault(bench):
-    bench.card.arrives = False
-    with pytest.raises(RigFault, match=r"a turn by 90 deg, got 0"):
-        turn_by(bench.rig, 90.0 * DEGREE, 40.0, bench.clock)
 
 
 def test_a_move_is_refused_while_another_runs(bench):

@@ -14,7 +14,7 @@ from testkit.virtual_clock import VirtualClock
 from undrift.errors import InputError, LimitError, LinkError, RigFault, RigTimeout
 from undrift.rig.grbl import GrblBoard, GrblRig, open_from
 from undrift.rig.link import LinkSettings
-from undrift.rig.rig import Limits, RigSettings, codes, in_words, turn_by
+from undrift.rig.rig import Limits, RigSettings, codes, in_words
 
 ERRORS = {int(code): words for code, words in codes("grbl_error").items() if code != "other"}
 DEGREE = math.pi / 180.0
@@ -61,13 +61,6 @@ def test_opening_resets_reads_the_settings_and_moves_nothing():
         assert board.jogs == []
 
 
-def test_a_move_is_a_whole_number_of_steps(bench):
-    achieved = turn_by(bench.rig, 90.0 * DEGREE, 1000.0 * DEGREE, bench.clock) / DEGREE
-    assert achieved == pytest.approx(800 / 8.889, abs=1e-3)
-    assert bench.board.jogs == [(pytest.approx(800 / 8.889, abs=1e-5), 5400.0)]
-    assert bench.rig.position().angle / DEGREE == pytest.approx(achieved, abs=1e-3)
-
-
 def test_turn_for_is_one_jog_of_whole_steps_that_stop_cancels(bench):
     assert bench.rig.turn_for(-45.0 * DEGREE, 4.0) / DEGREE == pytest.approx(-45.0)
     bench.clock.wait(3.0)
@@ -95,7 +88,8 @@ def test_an_axis_of_several_has_its_own_settings_and_place():
     with Bench(board) as bench:
         board.spoilt["?"] = [b"<Idle|MPos:1.000,2.000,3.000,0.500|FS:0,0>\r\n"]
         assert bench.rig.position().angle / DEGREE == pytest.approx(0.5)
-        assert turn_by(bench.rig, 90.0 * DEGREE, 1000.0 * DEGREE, bench.clock) / DEGREE == pytest.approx(90.0, abs=0.1)
+        bench.rig.turn_for(45.0 * DEGREE, 2.0)
+        assert board.jogs[-1][0] == pytest.approx(1760 / 20.0)  # 45 deg/s for 2 s minus a ramp of 45 ms, in steps
 
 
 def test_the_motor_sleeps_and_wakes_and_our_own_alarm_is_cleared(bench):

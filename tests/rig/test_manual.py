@@ -223,5 +223,5 @@ def test_a_protocol_of_turns_reads_back_and_needs_no_rate_table(by_hand, tmp_pat
     write_protocol(protocol, tmp_path / "again.toml")
     assert read_protocol(tmp_path / "again.toml") == protocol
     check_programme(programme_of(protocol), Limits(), by_hand=True)
-    with pytest.raises(InputError, match=r"turn by \+360 deg about x.*travel: at most 90 deg .*, got 360"):
-        check_programme(programme_of(protocol), Limits(travel=90.0 * DEGREE))
+    with pytest.raises(InputError, match="requires an operator"):
+        check_programme(programme_of(protocol), Limits())

@@ -9,7 +9,7 @@ from scipy.stats import chi2
 from testkit.quiet import without_noise
 from testkit.virtual_clock import VirtualClock
 from undrift.commands.bench.guides import ORDER
-from undrift.live.hands import start_hand_held
+from undrift.live.hands import HandHeld
 from undrift.record import FACES, Record
 from undrift.sim.motion.motion import facing, unit_vector
 from undrift.units import STANDARD_GRAVITY
@@ -24,7 +24,7 @@ class HandFeed:
     def __init__(self, seed=3, device=None, lossy=0.0, **settings):
         self.clock = VirtualClock()
         self.lost = np.random.default_rng(seed).random(100_000) < lossy  # readings that the link loses
-        self.held = start_hand_held(seed=seed, device=device, clock=self.clock, **settings)
+        self.held = HandHeld(seed=seed, device=device, clock=self.clock, **settings)
         self.rows, self.moves = [], set()
 
     def __enter__(self):
@@ -36,7 +36,7 @@ class HandFeed:
     def go(self, duration_s=STEP_S):
         self.clock.wait(duration_s)
         counts, rows = self.held.read()
-        self.rows.append(np.column_stack((counts / self.held.rate, rows)))
+        self.rows.append(np.column_stack((counts / self.held.description.rate, rows)))
         self.moves |= {(move.start, move.stop) for move in self.held.moves if move.stop > 0.0}
 
     def recent(self, seconds=1.0, drop=None):
@@ -44,7 +44,7 @@ class HandFeed:
         rows = np.concatenate(self.rows[-round(seconds / STEP_S) - 1 :])
         if drop is not None:
             rows = rows[(rows[:, 0] < drop[0]) | (rows[:, 0] >= drop[1])]
-        gone = self.lost[np.round(rows[:, 0] * self.held.rate).astype(int)]
+        gone = self.lost[np.round(rows[:, 0] * self.held.description.rate).astype(int)]
         rows[gone, 1:] = np.nan  # as a recorder marks them
         if len(rows) < 2:
             return None

@@ -72,7 +72,7 @@ def record(
         File to write: .parquet, .csv or .csv.gz. A .log or .txt file contains the lines of the device, each with a time
         stamp.
     port : str or None
-        Serial port, for example /dev/ttyUSB0 or COM3. The baud rate is detected.
+        Serial port, for example /dev/ttyUSB0, COM3 or /dev/ttyUSB0?baud=9600. The default is 115200 baud.
     lsl : str or None
         Stream of the Lab Streaming Layer with its content: NAME?channels=...&rate=100
     udp : str or None
@@ -183,7 +183,7 @@ def _record_lines(where: str, output: Path, duration_s: float, screen: Screen) -
     ended, count, stamp, rest = "stopped", 0, 0.0, b""
     try:
         with Appender(output) as file:
-            pieces = list(listen(source)[0])
+            pieces = list(listen(source))
             began = pieces[0][0]
             screen.over("")
             screen.say(f"Recording the lines of {source.name}. Ctrl-C ends it.")

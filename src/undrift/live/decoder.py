@@ -6,6 +6,7 @@ A StreamDescription contains the channels in their order, their units and the fr
 
 import binascii
 import re
+import struct
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
@@ -123,6 +124,10 @@ class StreamDescription:
             accel_unit=self.accel_unit,
             device=self.device,
         )
+
+    def text_of(self, reading: FloatArray) -> str:
+        """Return a reading (C,) as text."""
+        return "  ".join(f"{name} {value:.6g}" for name, value in zip(self.measured, reading.tolist(), strict=True))
 
     def split(self, rows: FloatArray) -> tuple[FloatArray | None, FloatArray]:
         """Split decoded rows (N, K) into counter (N,), or None without counter, and measured values (N, C)."""
@@ -342,13 +347,13 @@ class FrameDecoder(Decoder):
         self._in_step = True  # False within a stretch of corrupted bytes, which counts as one error
 
     def _rows(self, buffer: bytes, is_datagram: bool) -> FloatArray:
-        head, body, tail = len(self._sync), self._fields.itemsize, self._checksum.size
-        start, bodies = 0, []
+        head, body, tail = len(self._sync), self._fields.size, self._checksum.size
+        start, rows = 0, list[tuple[float, ...]]()
         while len(buffer) - start >= head + body + tail:
             fields, end = buffer[start + head : start + head + body], start + head + body
             is_frame = buffer.startswith(self._sync, start)
             if is_frame and int.from_bytes(buffer[end : end + tail], self._order) == self._checksum.of(fields):
-                bodies.append(fields)
+                rows.append(self._fields.unpack(fields))
                 start, self._in_step, self._begun = end + tail, True, True
                 continue
             if is_frame or (self._in_step and self._begun):
@@ -359,26 +364,22 @@ class FrameDecoder(Decoder):
         self._rest = b"" if is_datagram else buffer[start:]
         if is_datagram and start < len(buffer):
             self.errors += 1
-        table = np.frombuffer(b"".join(bodies), dtype=self._fields)
-        columns = [table[name].astype(float) for name in self._fields.names or ()]
-        return np.array(columns).T.reshape(len(table), self._width)
+        return np.array(rows, dtype=float).reshape(-1, self._width)
 
 
-def frame_fields(pack: str, channels: int) -> np.dtype[np.void]:
-    """Return the fields of a frame as a numpy dtype."""
+def frame_fields(pack: str, channels: int) -> struct.Struct:
+    """Return the fields of a frame."""
     if not re.fullmatch(r"[<>](\d{0,3}[bBhHiIqQfd])+", pack):
         raise InputError(
             f"stream: pack must be < or > and codes from bBhHiIqQfd, got '{pack}'. Write for example <H6h."
         )
-    codes = "".join(code * int(count or 1) for count, code in re.findall(r"(\d*)([a-zA-Z])", pack))
-    if len(codes) != channels:
+    fields_of_frame = struct.Struct(pack)
+    count = len(fields_of_frame.unpack(bytes(fields_of_frame.size)))
+    if count != channels:
         raise InputError(
-            f"stream: pack must have a field for each of {channels} channels, got {len(codes)} in '{pack}'. Correct it."
+            f"stream: pack must have a field for each of {channels} channels, got {count} in '{pack}'. Correct it."
         )
-    numpy_of = {"b": "i1", "B": "u1", "h": "i2", "H": "u2", "i": "i4", "I": "u4", "q": "i8", "Q": "u8"}
-    return np.dtype(
-        [(f"f{k}", pack[0] + numpy_of.get(code, f"f{4 if code == 'f' else 8}")) for k, code in enumerate(codes)]
-    )
+    return fields_of_frame
 
 
 def finite(rows: FloatArray) -> FloatArray:

@@ -26,7 +26,7 @@ from undrift.arrays import FloatArray, IntArray
 from undrift.base.clock import Clock
 from undrift.errors import InputError, LinkError, RigTimeout
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate, rotation_vector
-from undrift.live.decoder import Chunk, StreamDescription
+from undrift.live.decoder import COUNTER, MEASURED, Chunk, StreamDescription
 from undrift.live.transports import Address, number_of
 from undrift.record import FACES, Axis, Face
 from undrift.sim.device.causal import Seen, SimulatedDevice
@@ -76,21 +76,28 @@ class Move:
 
 
 class HandHeld:
-    """A simulated device that is moved and read from any thread."""
+    """A simulated device that is moved and read from any thread. By default, it is a random device of consumer grade."""
 
     def __init__(
-        self, device: DeviceModel, clock: Clock | None = None, *, seed: int = 0, gravity_m_s2: float = STANDARD_GRAVITY
+        self,
+        *,
+        seed: int | None = None,
+        device: DeviceModel | None = None,
+        clock: Clock | None = None,
+        gravity_m_s2: float = STANDARD_GRAVITY,
     ) -> None:
-        self.device, self.gravity_m_s2 = device, gravity_m_s2
+        seed = int(np.random.default_rng().integers(2**31)) if seed is None else seed
+        self.device = device or random_device(np.random.default_rng(seed), grade="consumer")
+        self.gravity_m_s2 = gravity_m_s2
         self.clock, self.lock, self._rest_s = clock or Clock.started(), threading.RLock(), REST_S
         self._draw = np.random.default_rng((seed, 1))
         self.face: Face = "+z"
         q_rest = self._lay(np.array([1.0, 0.0, 0.0, 0.0]), self.face)
         self.moves = [Move(-1.0, 1.0, q_rest, np.eye(3)[0], Polynomial([0.0]))]
         # compile the simulation before the first reading is due
-        SimulatedDevice(device, self._seen, seed, 0.0).read(0.1)
-        self._read = SimulatedDevice(device, self._seen, seed, self.clock.now())
-        self.rate = self._read.rate
+        SimulatedDevice(self.device, self._seen, seed, 0.0).read(0.1)
+        self._read = SimulatedDevice(self.device, self._seen, seed, self.clock.now())
+        self.description = description_of(self._read, self.clock.speed)
         self.address = f"{KIND}:{next(_NUMBERS)}"
         _HELD[self.address] = self
 
@@ -198,27 +205,23 @@ class HandHeld:
         return 0.5 * (first + second), (second - first) / h, force, mean_rate, np.full(n, BOARD_C)
 
 
-def start_hand_held(
-    *,
-    seed: int | None = None,
-    device: DeviceModel | None = None,
-    speed: float = 1.0,
-    clock: Clock | None = None,
-    gravity_m_s2: float = STANDARD_GRAVITY,
-) -> HandHeld:
-    """Start a simulated device. Without `device`, a random device of consumer grade is simulated, from the seed if it is set."""
-    if seed is None:
-        seed = int(np.random.default_rng().integers(2**31))
-    chosen = device or random_device(np.random.default_rng(seed), grade="consumer")
-    return HandHeld(chosen, clock or Clock.started(speed), seed=seed, gravity_m_s2=gravity_m_s2)
-
-
 # ---- Source of live readings.
 
 KIND = "simulated"
-CHANNELS = ("count", "gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z", "temp")
 _HELD: dict[str, HandHeld] = {}  # devices by address
 _NUMBERS = itertools.count(1)
+
+
+def description_of(device: SimulatedDevice, clock_speed: float = 1.0) -> StreamDescription:
+    """Return the description of the readings of a simulated device."""
+    return StreamDescription(
+        channels=(COUNTER, *MEASURED[:6], "temp"),
+        rate=device.rate,
+        gyro_unit=device.model.gyro.unit,
+        accel_unit=device.model.accel.unit,
+        clock_speed=clock_speed,
+        device=device.model.serial,
+    )
 
 
 class HandHeldSource:
@@ -227,16 +230,9 @@ class HandHeldSource:
     errors = 0
 
     def __init__(self, device: HandHeld, *, owns_device: bool) -> None:
-        model, self._held, self._alone, self._open, self._followed = device.device, device, owns_device, False, False
-        self.name = f"simulated device {model.serial}".rstrip()
-        self.description = StreamDescription(
-            channels=CHANNELS,
-            rate=device.rate,
-            gyro_unit=model.gyro.unit,
-            accel_unit=model.accel.unit,
-            clock_speed=device.clock.speed,
-            device=model.serial,
-        )
+        self._held, self._alone, self._open, self._followed = device, owns_device, False, False
+        self.name = f"simulated device {device.device.serial}".rstrip()
+        self.description = device.description
 
     def open(self) -> None:
         """Start to read. A device without an operator also starts its moves."""
@@ -279,4 +275,4 @@ def source_of(address: Address) -> HandHeldSource:
         or {name for name, _ in address.options} - {"seed", "clock_speed"}
     ):
         raise InputError("device: the address must have the form simulated:?seed=1&clock_speed=2. Correct it.")
-    return HandHeldSource(start_hand_held(seed=int(seed) if seed else None, speed=speed), owns_device=True)
+    return HandHeldSource(HandHeld(seed=int(seed) if seed else None, clock=Clock.started(speed)), owns_device=True)

@@ -3,7 +3,6 @@
 The lines have the formats that ``io/log.py`` reads from a file. Names or a header determine channels and units. A missing unit is
 proposed from the size of the readings, as in ``undrift info``, and reported in a note. If the device prints its time, that time is
 used. Otherwise time is derived from its counter or from the order of the readings, with a rate measured with this computer's clock.
-On a serial port, the usual baud rates are tried until the bytes are text.
 """
 
 from collections.abc import Sequence
@@ -24,11 +23,10 @@ from undrift.live.transports import GROUP, POLL_S, SOURCES, ByteSource, SerialPo
 from undrift.plugins import split_address
 from undrift.record import sample_rate_of
 
-BAUDS = (115_200, 9_600, 921_600, 57_600, 460_800, 230_400, 38_400, 19_200, 1_000_000, 2_000_000)  # most common first
 BYTE_WAYS = ("serial", "tcp", "udp")
 SILENCE_S = 6.0  # longest wait for the first byte, host s (some boards restart when a connection is opened)
-LISTEN_S, TRY_S = 3.0, 1.0  # time to listen, and time to try a baud rate, host s
-GARBAGE = 0.1  # largest fraction of bytes that are not text at the right baud rate
+LISTEN_S = 3.0  # time to listen, host s
+GARBAGE = 0.1  # largest fraction of bytes that are not text
 ANY = StreamDescription(
     channels=("accel_x", "accel_y", "accel_z"), rate=1.0
 )  # placeholder until the description is known
@@ -91,37 +89,32 @@ def described_address(address: str) -> tuple[str, tuple[str, ...]]:
     if not isinstance(source, ByteSource):
         return address, ()
     try:
-        pieces, baud = listen(source)
+        pieces = listen(source)
     finally:
         source.close()
     stream_options, notes = description_of(pieces, source.name, given_options)
-    stream_options |= {"baud": str(baud)} if baud and "baud" not in given_options else {}
     return f"{kind}:{place}?{urlencode(stream_options | given_options, safe=',/+')}", notes
 
 
-def listen(source: ByteSource) -> tuple[Pieces, int]:
-    """Open a device and return its bytes of a few seconds and the baud rate at which they are text, 0 if not serial."""
+def listen(source: ByteSource) -> Pieces:
+    """Open a device and return its bytes of a few seconds, which must be text."""
     source.open()
-    now, port = source.clock.now, source.port
-    bauds = dict.fromkeys((port.baud, *BAUDS)) if isinstance(port, SerialPort) else (0,)
-    for baud in bauds:
-        if baud and baud != port.baud:
-            port.set_baud(baud)
-        pieces, content, began, last, text = list[tuple[float, bytes]](), b"", now(), now() + SILENCE_S, True
-        while now() < last and (text or now() < began + TRY_S):
-            if data := source.receive(POLL_S):
-                last = last if pieces else now() + LISTEN_S
-                pieces.append((now(), data))
-                content = (content + data)[-256:]
-                garbage = sum(byte > 0x7E or (byte < 0x20 and byte not in b"\t\n\r\x1b") for byte in content)
-                text = garbage <= GARBAGE * len(content)
-        if not pieces:
-            raise RigTimeout(f"{source.name}: no text within {SILENCE_S:g} s. Check that the device sends.")
-        if text:
-            return pieces, baud
-    raise InputError(
-        f"{source.name}: the bytes are not lines of text{f' at {len(bauds)} baud rates' * (len(bauds) > 1)}. {DESCRIBE}"
-    )
+    now, pieces = source.clock.now, list[tuple[float, bytes]]()
+    last = now() + SILENCE_S
+    while now() < last:
+        if data := source.receive(POLL_S):
+            last = last if pieces else now() + LISTEN_S
+            pieces.append((now(), data))
+    if not pieces:
+        raise RigTimeout(f"{source.name}: no text within {SILENCE_S:g} s. Check that the device sends.")
+    content = b"".join(data for _, data in pieces)
+    garbage = sum(byte > 0x7E or (byte < 0x20 and byte not in b"\t\n\r\x1b") for byte in content)
+    if garbage > GARBAGE * len(content):
+        baud = ""
+        if isinstance(source.port, SerialPort):
+            baud = f" at {source.port.baud} baud. Set another baud rate in the address: {source.name}?baud=9600"
+        raise InputError(f"{source.name}: the bytes are not lines of text{baud}. {DESCRIBE}")
+    return pieces
 
 
 def description_of(pieces: Pieces, name: str, given_options: dict[str, str]) -> tuple[dict[str, str], tuple[str, ...]]:

@@ -25,7 +25,6 @@ from undrift.record import Record
 
 log = logging.getLogger(__name__)
 READ_S, WAKE_S, STOP_S = 0.2, 0.2, 32.0
-WAITED_S = 5e-4  # duration from which a read has waited for data, host s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,14 +33,9 @@ class RecorderSettings:
 
     silence_s: float = 5.0  # longest time without a valid reading before the device counts as lost, host s
     keep_s: float = 600.0  # duration of the stored readings, device s
-    # Pause of the reader after a wait for a reading, host s. Readings collect in the pause, which reduces the load. They
-    # arrive later by the pause at most. Each wait still determines the time of arrival of a reading.
-    gather_s: float = 0.0
 
     def __post_init__(self) -> None:
         check_positive(self, "recorder", "Set a positive value", "silence_s", "keep_s")
-        if not 0.0 <= self.gather_s <= READ_S:
-            raise InputError(f"recorder: gather_s must be 0 to {READ_S:g} s, got {self.gather_s}. Set a shorter pause.")
 
 
 class Recorder:
@@ -152,10 +146,7 @@ class Recorder:
             self.check()
             if not self._ring:
                 raise InputError("readings: no reading yet. Start the recorder.")
-            newest = self._ring[-1].values[-1].tolist()
-        return "  ".join(
-            f"{name} {value:.6g}" for name, value in zip(self.source.description.measured, newest, strict=True)
-        )
+            return self.source.description.text_of(self._ring[-1].values[-1])
 
     def check(self) -> None:
         """Raise the error of the reading thread, if it has failed."""
@@ -173,7 +164,6 @@ class Recorder:
 
     def _read(self) -> float | None:
         """Read the device once. Return the pause until the next read, host s, or None after a failure."""
-        began = self.now()
         try:
             chunk = self.source.read(READ_S)
         except UndriftError as error:
@@ -187,7 +177,7 @@ class Recorder:
         self._heard = self.now()
         with self._news:
             self._keep(self.timeline.add(chunk))
-        return self.settings.gather_s if self._heard - began > WAITED_S else 0.0
+        return 0.0
 
     def _keep(self, block: Block) -> None:
         if not len(block.time):

@@ -146,11 +146,6 @@ class SerialPort:
         waiting = self._port.in_waiting if first else 0
         return first + bytes(self._port.read(waiting)) if waiting else first
 
-    def set_baud(self, baud: int) -> None:
-        """Set another baud rate and discard the received bytes."""
-        self._port.baudrate = self.baud = baud
-        self._port.reset_input_buffer()
-
     def write(self, data: bytes) -> None:
         """Send all bytes, or raise OSError."""
         self._port.write(data)

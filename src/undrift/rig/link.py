@@ -80,7 +80,9 @@ class Link(AbstractContextManager["Link"]):
 
     def __init__(self, url: str, settings: LinkSettings = LinkSettings()) -> None:
         self.name, self.settings = url, settings
-        self._connect()
+        self._lost: str | None = None  # reason why the connection is lost
+        self._received, self._in_step = bytearray(), True
+        self._port = open_port(url, settings)
 
     def __exit__(self, *failure: object) -> None:
         self.close()
@@ -135,17 +137,14 @@ class Link(AbstractContextManager["Link"]):
     def reconnect(self) -> None:
         """Close the link and open it again, with empty buffers."""
         self.close()
-        self._connect()
+        self._port = open_port(self.name, self.settings)
+        self._lost, self._in_step = None, True
+        self._received.clear()
 
     def close(self) -> None:
         """Close the connection. A second call has no effect."""
         self._lose("closed")
         self._port.close()
-
-    def _connect(self) -> None:
-        self._port = open_port(self.name, self.settings)
-        self._lost: str | None = None
-        self._received, self._in_step = bytearray(), True
 
     def _lose(self, reason: str) -> None:
         self._lost = self._lost or reason

@@ -231,28 +231,6 @@ def steady_angle(turn_rate: float, seconds: float, acceleration: float) -> float
     return turn_rate * (seconds - ramp_s)
 
 
-TURN_RATE = 90.0 * DPS  # largest rate of a turn by a known angle, rad/s
-ANGLE_TOLERANCE = 0.5 * DPS  # largest error of such a turn, which is measured more accurately, rad
-
-
-def turn_by(rig: Rig, angle: float, acceleration: float, clock: Clock) -> float:
-    """Turn by an angle, wait until the axis is at rest, and return the angle from the positions before and after, rad."""
-    turn_rate = min(TURN_RATE, rig.limits.turn_rate, 0.5 * math.sqrt(abs(angle) * acceleration))
-    seconds = abs(angle) / turn_rate + turn_rate / acceleration
-    before = rig.position().angle
-    rig.turn_for(math.copysign(turn_rate, angle), seconds)
-    clock.wait(seconds)
-    rig.stop()
-    turned = rig.position().angle - before
-    if not abs(turned - angle) <= ANGLE_TOLERANCE:
-        raise RigFault(
-            f"rig: expected a turn by {angle / DPS:g} deg, got {turned / DPS:g}. Check the table, its limit switches and its "
-            "amplifier.",
-            turned=turned,
-        )
-    return turned
-
-
 # ---- Check of a programme against the limits of a rig, before anything moves.
 
 TRAVEL_MARGIN = 1.1  # a dwell's move is planned longer by this factor and ended early, because waits can overrun
@@ -271,7 +249,11 @@ def check_programme(
                 f"{step}). Replace [rates] with [turns] in the protocol."
             )
         return
-
+    for number, step in pending:
+        if step.purpose == "turn":
+            raise InputError(
+                f"rig: step {number} ({step}) requires an operator. Use `manual:`, or replace [turns] with [rates]."
+            )
     try:
         where = ""
         limits.check_acceleration(programme.acceleration)
@@ -279,7 +261,7 @@ def check_programme(
         for number, step in pending:
             where = f"step {number} ({step}): "
             limits.check_turn_rate(step.turn_rate)
-            limits.check_travel(step.angle or angle + TRAVEL_MARGIN * step.travel)
+            limits.check_travel(angle + TRAVEL_MARGIN * step.travel)
             angle += step.travel
     except LimitError as error:
         raise InputError(f"{where}{error}", **error.numbers) from error
@@ -324,7 +306,7 @@ class RigSettings:
     ask: Callable[[str], str] | None = None
 
     def __post_init__(self) -> None:
-        check_positive(self, "rig", "Check the data sheet of the encoder", "encoder_lines")
+        check_positive(self, "rig", "Correct the address", "encoder_lines", "reply_timeout_s", "clock_speed")
 
     @property
     def count(self) -> float:
@@ -374,7 +356,5 @@ def parse_address(address: str, settings: RigSettings = RigSettings()) -> tuple[
         except ValueError as error:
             raise InputError(f"rig: '{text}' is not a value for {name}. Correct the address.") from error
     if kind == "simulated" and settings.clock is None:
-        if not settings.clock_speed > 0.0:
-            raise InputError(f"rig: clock_speed must be positive, got {settings.clock_speed:g}. Correct the address.")
         settings = replace(settings, clock=PacedClock(settings.clock_speed))
     return kind, url, settings

@@ -12,7 +12,7 @@ import logging
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -34,21 +34,8 @@ from undrift.rig.judge import (
 )
 from undrift.rig.lock import uninterrupted
 from undrift.rig.manual import ManualRig
-from undrift.rig.rig import TRAVEL_MARGIN, Position, Rig, achieved_turn_rate, check_programme, turn_by
+from undrift.rig.rig import TRAVEL_MARGIN, Position, Rig, achieved_turn_rate, check_programme
 
-Phase = Literal[
-    "enabling",
-    "mounting",
-    "setting",
-    "soaking",
-    "ramping",
-    "settling",
-    "dwelling",
-    "turning",
-    "resting",
-    "writing",
-    "closing",
-]
 POLLS = 20  # number of positions in a short dwell
 POLL_S = 0.1  # time between two positions in a long dwell, host s
 ATTEMPTS = 3  # number of attempts at a dwell
@@ -102,7 +89,7 @@ class Mounted:
 class Progress:
     """Progress of a run."""
 
-    phase: Phase  # current phase
+    phase: str  # current phase, for example dwelling
     number: int  # number of the current step
     steps: int  # total number of steps
     step: str  # description of the step
@@ -197,7 +184,6 @@ class _Run:
         self._enabled = self._air_steady = False
         self._due = devices  # devices that read the current step
         self._old_fault: str | None = None
-        self._acceleration = programme.acceleration  # as the controller set it, rad/s2
         self._number, self._step, self._began, self._left_s = 0, programme.steps[0], bench.clock.now(), 0.0
 
     def all_but(self, done: frozenset[int]) -> None:
@@ -361,7 +347,7 @@ class _Run:
     def _read(self, step: Dwell, devices: Iterable[Mounted]) -> tuple[dict[Mounted, Record], list[Position]]:
         """Read devices and encoder over a dwell."""
         clock = self._clock
-        phase: Phase = "dwelling" if step.turn_rate != 0.0 else "resting"
+        phase = "dwelling" if step.turn_rate != 0.0 else "resting"
         every_s = min(POLL_S * clock.speed, step.dwell_s / POLLS)
         self._say(phase)
         devices = [*self._sound(devices, lambda device: device.readings.start())]
@@ -379,7 +365,7 @@ class _Run:
         return self._records(devices), positions
 
     def _turn_by_angle(self, step: Dwell) -> None:
-        """Read a turn by a known angle, with the rests before and after it. The rig or the operator reports the angle."""
+        """Read a turn by a known angle, with the rests before and after it. The operator reports the angle."""
         rest_s = 0.5 * (step.dwell_s - TURN_S)
         self._say("resting")
         self._clock.wait(step.settle_s)
@@ -387,10 +373,7 @@ class _Run:
         devices = [*self._sound(self._due, lambda device: device.readings.start())]
         self._clock.wait(rest_s)
         self._say("turning")
-        if isinstance(self._rig, ManualRig):
-            angle = self._rig.move_by(step.angle)
-        else:
-            angle = turn_by(self._rig, step.angle, self._acceleration, self._clock)
+        angle = cast(ManualRig, self._rig).move_by(step.angle)
         self._say("resting")
         self._clock.wait(rest_s)
         records = self._records(devices)
@@ -436,7 +419,7 @@ class _Run:
             self._say("enabling")
             self._rig.enable(True)
             self._enabled = True
-            self._acceleration = self._rig.set_acceleration(self._programme.acceleration)
+            self._rig.set_acceleration(self._programme.acceleration)
             self._old_fault = self._rig.fault()  # a card reports its last stop until the next move
             # readings that are still in a buffer arrive while the table is at rest
             self._due = tuple(self._sound(self._due, lambda device: device.readings.start()))
@@ -447,7 +430,7 @@ class _Run:
             self._enabled = False
             self._rig.enable(False)
 
-    def _say(self, phase: Phase, live: str = "") -> None:
+    def _say(self, phase: str, live: str = "") -> None:
         left_s = self._left_s - min(self._clock.now() - self._began, self._step.duration_s)
         steps = len(self._programme.steps)
         self._report(

@@ -23,6 +23,7 @@ import numpy as np
 from undrift.arrays import FloatArray, IntArray
 from undrift.base.clock import Clock, PacedClock
 from undrift.errors import InputError, LinkError, RigFault, RigTimeout, check_positive
+from undrift.live.hands import description_of
 from undrift.record import FACES, Face, Record
 from undrift.rig.chamber import Chamber, ChamberSetup
 from undrift.rig.rig import (
@@ -212,85 +213,74 @@ class SimulatedTable:
     """Table of a bench, a Rig."""
 
     def __init__(self, bench: SimulatedBench, limits: Limits) -> None:
-        self.limits, self._bench = limits, bench
-        self._count = 1.0 / bench.settings.servo.counts_per_rad
+        self.limits, self._bench, self._servo = limits, bench, bench.servo
+        self._count = 1.0 / bench.servo.settings.counts_per_rad  # rad
         self._acceleration = 256_000.0  # counts/s2
         self._fault: str | None = None
 
     def identify(self) -> str:
-        """Return a description of the simulated table."""
         self._answer()
-        return f"simulated table, encoder of {self._bench.settings.servo.encoder_lines} lines"
+        return f"simulated table, encoder of {self._servo.settings.encoder_lines} lines"
 
     def read_servo(self) -> ServoReport:
-        """Return the servo's gains and sample period."""
         self._answer()
-        (kp, kd), period_s = self._bench.settings.servo.gains, self._bench.settings.servo.period_s
+        (kp, kd), period_s = self._servo.settings.gains, self._servo.settings.period_s
         return ServoReport(kp=kp, ki=0.0, kd=kd, sample_s=period_s)
 
     def enable(self, on: bool) -> None:
-        """Switch the motor on or off."""
         self._answer()
-        self._bench.servo.switch(on)
+        self._servo.switch(on)
 
     def set_acceleration(self, acceleration: float) -> float:
-        """Set the acceleration of both ramps and return the achieved acceleration."""
         self.limits.check_acceleration(acceleration)
         self._answer()
         self._acceleration = ACCELERATION.round(acceleration / self._count)
         return self._acceleration * self._count
 
     def turn_for(self, turn_rate: float, seconds: float) -> float:
-        """Turn at a steady rate for a time that includes both ramps, and return the achieved rate."""
         self.limits.check_turn_rate(turn_rate)
         self._answer(moving=True)
         speed = SLEW.round(turn_rate / self._count)
         angle = steady_angle(speed, seconds, self._acceleration) * self._count
         self.limits.check_travel(self._bench.angle() + angle)
         self._fault = None
-        self._bench.servo.turn(speed, seconds, self._acceleration)
+        self._servo.turn(speed, seconds, self._acceleration)
         return speed * self._count
 
     def stop(self) -> None:
-        """Slow down and wait until the axis is at rest. The motor stays on."""
         self._answer()
-        if self._bench.servo.powered:
-            self._bench.clock.wait(self._bench.servo.slow_down(self._acceleration) + SETTLED_S)
+        if self._servo.powered:
+            self._bench.clock.wait(self._servo.slow_down(self._acceleration) + SETTLED_S)
         self._answer()
 
     def position(self) -> Position:
-        """Return the current position of the encoder."""
         self._answer()
-        counts = math.floor(self._bench.angle() * self._bench.servo.settings.counts_per_rad)
-        within_s = 0.5 * self._bench.settings.servo.period_s
+        counts = math.floor(self._bench.angle() * self._servo.settings.counts_per_rad)
+        within_s = 0.5 * self._servo.settings.period_s
         return Position(angle=counts * self._count, time=self._bench.clock.now(), within_s=within_s)
 
     def following_error(self) -> float:
-        """Return commanded minus actual angle, rad."""
         self._answer()
-        return self._bench.servo.error * self._count
+        return self._servo.error * self._count
 
     def fault(self) -> str | None:
-        """Return a description of the fault, or None."""
         self._answer()
         return self._fault
 
     def close(self) -> None:
-        """Stop and switch the motor off. A second call has no effect."""
         if "power_cut" not in self._bench.faults:
             self.stop()
-            self._bench.servo.switch(False)
+            self._servo.switch(False)
 
     def _answer(self, *, moving: bool = False) -> None:
         """Advance the bench. Raise an error without power or, if the table must move, with the motor off."""
-        bench = self._bench
-        powered = bench.servo.powered
-        bench.advance()
-        if "power_cut" in bench.faults:
+        powered = self._servo.powered
+        self._bench.advance()
+        if "power_cut" in self._bench.faults:
             raise LinkError("rig: no answer. Check power and cable.")
-        if powered and not bench.servo.powered:
+        if powered and not self._servo.powered:
             self._fault = "its motor off: following error beyond its limit"
-        if moving and not bench.servo.powered:
+        if moving and not self._servo.powered:
             raise RigFault(f"rig: cannot turn, got {self._fault or 'its motor off'}. Switch the motor on.")
 
 
@@ -316,9 +306,10 @@ class SimulatedChamber(Chamber):
 
 
 class SimulatedReadings:
-    """Readings of a device on a bench, dwell by dwell."""
+    """Readings of a device on a bench, dwell by dwell: Readings of rig/chamber.py."""
 
     def __init__(self, bench: SimulatedBench, device: SimulatedDevice) -> None:
+        self.description = description_of(device)
         self._bench, self._device = bench, device
         self._kept: list[tuple[IntArray, FloatArray]] | None = None  # counts and rows of this dwell
         self._newest = np.full(7, np.nan)
@@ -338,40 +329,25 @@ class SimulatedReadings:
             self._kept.append((counts, rows))
 
     def start(self, *, certain: bool = True) -> None:
-        """Start to store readings."""
         self._bench.advance()
         self._kept, self._ended = [], False
 
     def end(self) -> None:
-        """End the dwell now."""
         self._bench.advance()
         self._ended = True
 
     def stop(self) -> Record:
-        """Return the readings since ``start``."""
         self._bench.advance()
         blocks, self._kept = self._kept, None
         if blocks is None or sum(len(counts) for counts, _ in blocks) < 2:
             raise RigTimeout("device: fewer than two readings. Start a dwell, and use a longer one.")
         counts, rows = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
-        model = self._device.model
-        return Record(
-            time=counts / self._device.rate,
-            gyro=rows[:, :3],
-            accel=rows[:, 3:6],
-            temp_c=rows[:, 6],
-            gyro_unit=model.gyro.unit,
-            accel_unit=model.accel.unit,
-            device=model.serial,
-        )
+        return self.description.record(counts / self._device.rate, rows)
 
     def latest(self) -> str:
-        """Return the latest reading as text."""
-        names = ("gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z", "temp")
-        return "  ".join(f"{name} {value:.6g}" for name, value in zip(names, self._newest, strict=True))
+        return self.description.text_of(self._newest)
 
     def close(self) -> None:
-        """Stop storing readings."""
         self._kept = None
 
 

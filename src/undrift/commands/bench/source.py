@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 
 PERIOD_S = 1.0 / 15.0  # between two looks at the recorder, host s
 KEEP_S = 120.0  # device s
-GATHER_S = 0.04  # host s for which readings are left to gather
 SILENCE_S, RETRY_S = 2.0, 1.0
 STALE_S = 1.0  # host time without readings after which the device counts as silent, s
 RATE_OVER_S = 5.0  # host s over which the sample rate is counted
@@ -160,7 +159,7 @@ class LiveDevice:
             return path if path.exists() else None
 
     def _fresh(self) -> Recorder:
-        settings = RecorderSettings(silence_s=self._silence_s, keep_s=KEEP_S, gather_s=GATHER_S)
+        settings = RecorderSettings(silence_s=self._silence_s, keep_s=KEEP_S)
         return Recorder(source_at(self.address), settings)
 
     def _tally(self) -> FloatArray:
@@ -236,10 +235,11 @@ class PracticeDevice:
 
     def start(self, seed: int | None, speed: float, gravity_m_s2: float) -> str:
         """Start the device unless it is running, and return its address."""
-        from undrift.live.hands import start_hand_held
+        from undrift.base.clock import Clock
+        from undrift.live.hands import HandHeld
 
         if self.device is None:
-            self.device = start_hand_held(seed=seed, speed=speed, gravity_m_s2=gravity_m_s2)
+            self.device = HandHeld(seed=seed, clock=Clock.started(speed), gravity_m_s2=gravity_m_s2)
         return self.device.address
 
     def close(self) -> None:
