@@ -17,7 +17,6 @@ from undrift.drift.fit import fit_drift
 from undrift.io.session import read_session
 from undrift.model import Calibration
 from undrift.programme import ProgrammeSettings, programme_of
-from undrift.rig.chamber import ChamberSetup
 from undrift.rig.folder import RunFolder
 from undrift.rig.run import RigBench, run_programme
 from undrift.rig.simulated import SimulatedBench, SimulatedSettings
@@ -55,7 +54,7 @@ def calibrate_on_rig(name: str, device: DeviceModel, folder: Path) -> Calibratio
     programme = programme_of(
         protocol, ProgrammeSettings(mount_s=0.5, heating_c_per_min=AIR.ramp_c_per_min, settle_s=SETTLE_S)
     )
-    bench = SimulatedBench((device,), SimulatedSettings(air=AIR, chamber=ChamberSetup(soak=SOAK)))
+    bench = SimulatedBench((device,), SimulatedSettings(air=AIR, chamber=SOAK))
     with RunFolder(folder, protocol) as opened:
         chamber = bench.chamber if protocol.temperatures_c else None
         connected = RigBench(

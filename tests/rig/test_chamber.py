@@ -10,11 +10,10 @@ import pytest
 from testkit.rig_bench import simulated
 from testkit.scripted_server import Scripted, VirtualScripted
 from undrift.errors import InputError, LimitError, LinkError, RigError, RigFault, RigTimeout
-from undrift.rig.chamber import ChamberSetup, SoakSettings, Steadiness, open_chamber
+from undrift.rig.chamber import ChamberSetup, Steadiness, open_chamber
 from undrift.rig.simulated import AirSettings
 
-SOAK = SoakSettings(window_s=60.0)
-SETTINGS = ChamberSetup(soak=SOAK, reply_timeout_s=20.0)
+SETTINGS = ChamberSetup(window_s=60.0, reply_timeout_s=20.0)
 TRUE = {
     "*IDN?": b"maker,model,7,1.2\n",
     "TEMP:SPO 45.00;:OUTP ON;:TEMP:SPO?": b"45.0\n",
@@ -48,13 +47,6 @@ class ScpiAir:
 
     def opened(self):
         return open_chamber(self.server.url, replace(SETTINGS, clock=self.bench.clock, reply_timeout_s=0.3))
-
-
-def soak(chamber, within_s):
-    """Wait until the temperature is steady at the set-point."""
-    if not chamber.settings.clock.until(chamber.soaked, within_s, 2.0):
-        raise RigTimeout("not steady in time")
-    return chamber.read()
 
 
 def patience(chamber, seconds):
@@ -134,21 +126,14 @@ def test_a_soak_ends_when_the_air_is_steady_at_its_set_point():
     scpi = ScpiAir()
     with scpi.opened() as chamber:
         chamber.set(45.0)
-        assert soak(chamber, 1200.0) == pytest.approx(45.0, abs=0.1)
+        assert scpi.bench.clock.until(chamber.soaked, 1200.0, 2.0)
+        assert chamber.read() == pytest.approx(45.0, abs=0.1)
         now = scpi.bench.now()
-        times = np.linspace(now - SOAK.window_s, now, 100)
+        times = np.linspace(now - SETTINGS.window_s, now, 100)
         air = scpi.bench.air.at(times)[0]
         # the criterion sees readings rounded to 0.01 degC
         assert 60.0 * np.abs(np.polyfit(times - times[0], air, 1)[0]) < 0.12
-        assert np.ptp(air) < 2.0 * SOAK.tolerance_c
-
-
-def test_a_chamber_that_does_not_get_there_is_never_soaked():
-    with ScpiAir(ramp_c_per_min=1e-3).opened() as chamber:  # a heater that heats no more
-        chamber.set(45.0)
-        with pytest.raises(RigTimeout):
-            soak(chamber, 120.0)
-        assert chamber.read() == pytest.approx(25.0, abs=0.1)
+        assert np.ptp(air) < 2.0 * SETTINGS.tolerance_c
 
 
 @pytest.mark.parametrize(
@@ -169,7 +154,7 @@ def test_a_link_that_fails_is_an_error_and_the_heater_is_off_at_the_end(spoil):
 
 
 def test_a_host_that_looks_less_than_six_times_in_a_window_still_sees_a_steady_temperature():
-    seldom = Steadiness(SoakSettings(window_s=15.0, slope_c_per_min=0.1))
+    seldom = Steadiness(15.0)
     for look in range(5):
         seldom.add(10.0 * look, 30.0)
         assert seldom.slope_c_per_min() == math.inf
@@ -179,17 +164,8 @@ def test_a_host_that_looks_less_than_six_times_in_a_window_still_sees_a_steady_t
     assert seldom.slope_c_per_min() > 0.1
 
 
-def test_a_soak_needs_a_set_point():
-    with (
-        ScpiAir().opened() as chamber,
-        pytest.raises(InputError, match=r"no set-point"),
-    ):
-        chamber.soaked()
-
-
 def test_steady_is_a_full_window_of_little_slope_near_the_set_point():
-    window = SoakSettings(window_s=100.0)
-    level, ramp, apart, early, hill = (Steadiness(window) for _ in range(5))
+    level, ramp, apart, early, hill = (Steadiness(100.0) for _ in range(5))
     for t in range(0, 121, 5):
         level.add(t, 45.0 + 0.01 * (-1) ** t)
         ramp.add(t, 44.8 + 0.12 / 60.0 * t)
@@ -197,17 +173,17 @@ def test_steady_is_a_full_window_of_little_slope_near_the_set_point():
         hill.add(t, 45.0 - 1e-4 * (t - 70.0) ** 2)  # over its top: the line through all is level
         if t <= 90:
             early.add(t, 45.0)
-    assert level.steady_at(45.0)
-    assert not ramp.steady_at(45.0)
+    assert level.slope_c_per_min() < 0.1
+    assert level.error_c(45.0) == pytest.approx(0.01)
     assert ramp.slope_c_per_min() == pytest.approx(0.12)
-    assert not apart.steady_at(45.0)
+    assert apart.error_c(45.0) > 0.5
     assert early.slope_c_per_min() == math.inf
     assert hill.slope_c_per_min() > 0.1
 
 
 def test_settings_that_cannot_be_are_refused():
-    with pytest.raises(InputError, match=r"soak: `window_s` must be above 0, got 0"):
-        SoakSettings(window_s=0)
+    with pytest.raises(InputError, match=r"chamber: `window_s` must be above 0, got 0"):
+        ChamberSetup(window_s=0)
     with pytest.raises(InputError, match=r"got 80 and 80 degC"):
         ChamberSetup(lowest_c=80, highest_c=80)
     with pytest.raises(InputError, match=r"chamber: `reply_timeout_s`.*got 0"):

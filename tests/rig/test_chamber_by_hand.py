@@ -1,24 +1,19 @@
 """A chamber that a person sets when asked: the device's own thermometer shows when it has soaked."""
 
-import io
 import re
-import sys
 from dataclasses import replace
 
 import pytest
 
 from testkit.rig_bench import SHORT, Device, at_rest, simulated
 from testkit.rig_bench import run as run_on
-from testkit.talking_device import TalkingDevice
-from undrift.cli.app import run
 from undrift.errors import InputError, RigFault
 from undrift.io.session import read_session
-from undrift.rig.chamber import ChamberSetup, SoakSettings, open_chamber
+from undrift.rig.chamber import ChamberSetup, open_chamber
 from undrift.rig.simulated import AirSettings
 
 QUICK = AirSettings(ramp_c_per_min=300.0, period_s=1.0, board_lag_s=1.0)
 RISE_C = 1.5  # of the board above the air, by its own power
-SOAK = SoakSettings(window_s=10.0)
 
 
 class WithThermometer(Device):
@@ -32,7 +27,7 @@ class WithThermometer(Device):
 def hand_run(path, temperatures, person, *, readings=WithThermometer):
     """Run a protocol at a bench whose chamber obeys nobody but the person at it."""
     bench = simulated(air=QUICK)
-    settings = ChamberSetup(clock=bench.clock, soak=SOAK)
+    settings = ChamberSetup(clock=bench.clock, window_s=10.0)
     try:
         with open_chamber("manual:", settings, ask=lambda line: person(line, bench.chamber)) as by_hand:
             run_on(bench, path, replace(SHORT, temperatures_c=temperatures), chamber=by_hand, readings=readings)
@@ -61,19 +56,6 @@ def test_the_run_asks_and_waits_for_the_device(tmp_path, caplog):
 def test_a_chamber_that_was_set_wrong_ends_the_run(tmp_path):
     with pytest.raises(RigFault, match=r"expected 42 degC, but the device is steady at 3\d\.\d+ degC"):
         hand_run(tmp_path, (30.0, 42.0), lambda line, chamber: chamber.set(30.0) and "")
-
-
-def test_the_command_asks_on_the_terminal(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(sys, "stdin", io.StringIO("\nq\n"))
-    (tmp_path / "protocol.toml").write_text(
-        "[protocol]\n[faces]\nseconds = 1.0\n[temperatures]\nset_points_c = [30.0]\n"
-    )
-    with TalkingDevice() as device:
-        places = ["--rig", "manual:", "--device", device.address, "--chamber", "manual:"]
-        assert run(["rig", "run", str(tmp_path / "protocol.toml"), *places, "-o", str(tmp_path / "run"), "--yes"]) == 3
-    said = capsys.readouterr().err
-    assert "Set the chamber to 30 degC, then press Enter (q gives up): " in said
-    assert "not set to 30 degC, got 'q'" in said
 
 
 def test_a_device_without_a_thermometer_and_a_person_who_gives_up_end_the_run_in_one_line(tmp_path):

@@ -32,16 +32,6 @@ def read(rng, up="+z", *, noise=0.01, count=False, step=0.0, force=None):
     return Record(time=np.arange(400) / 100.0, gyro=gyro, accel=accel, gyro_unit=units[0], accel_unit=units[1])
 
 
-def test_constant_readings_in_g_are_faces_like_others():
-    rests, made = RestCheck(), {up: read(np.random.default_rng(5), up, noise=0.0) for up in FACES}
-    made = {up: replace(record, accel=record.accel / STANDARD_GRAVITY, accel_unit="g") for up, record in made.items()}
-    for up, record in made.items():
-        rests.check(rest(up), record, "step")
-        rests.keep(rest(up), record)
-    with pytest.raises(Disturbed, match=r"got the readings of \+z"):
-        rests.check(rest("-x"), made["+z"], "step")
-
-
 def bumped(record):
     """A table that is pushed for a tenth of a second."""
     gyro = np.array(record.gyro)
@@ -124,16 +114,6 @@ def test_a_wrong_face_in_counts_is_repeated_after_its_file_was_deleted(tmp_path,
     assert run(simulated(), path, protocol, readings=InCounts, resume=True)[0].added == 0
 
 
-@pytest.mark.parametrize("wrong", [{2: "+z"}, {3: "-x"}])
-def test_a_wrong_face_in_counts_is_mounted_again(tmp_path, wrong):
-    bench, protocol = simulated(), replace(SHORT, faces=SIX, axes=())
-    result, hands = run(bench, tmp_path / "run", protocol, readings=InCounts, hands=Hands(bench, wrong))
-    assert (len(hands.mounted), len(result.pieces)) == (7, 6)
-    for piece in result.pieces:
-        mean = read_counted(tmp_path / "run" / piece.name).record.accel.mean(axis=0)
-        assert np.allclose(mean, 1700.0 * STANDARD_GRAVITY * UP[piece.up] + [300.0, -80.0, 40.0], atol=5.0)
-
-
 def test_faces_that_contradict_each_other_for_good_end_the_run_and_name_both(tmp_path):
     bench = simulated()
     always = Hands(bench, dict.fromkeys(range(1, 99), "+y"))
@@ -169,13 +149,6 @@ def test_a_run_takes_a_disturbed_rest_again_and_keeps_only_sound_ones(tmp_path, 
         record = read_counted(tmp_path / piece.name).record
         assert np.allclose(record.accel.mean(axis=0), STANDARD_GRAVITY * UP[piece.up], atol=0.01)
         assert np.ptp(record.gyro, axis=0).max() < 0.2
-
-
-def test_a_rest_that_is_always_disturbed_ends_the_run(tmp_path):
-    bench = simulated()
-    with pytest.raises(RigFault, match=r"not at rest in step 1 .*`resume`"):
-        run(bench, tmp_path, FACES_ALONE, readings=lambda bench: Clumsy(bench, range(99)))
-    assert not bench.servo.powered
 
 
 def test_a_resumed_run_knows_the_rests_on_the_disk(tmp_path):

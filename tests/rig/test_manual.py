@@ -54,29 +54,6 @@ def test_a_person_may_give_up(said):
         ManualRig(Person(said)).move_by(1.0)
 
 
-def test_a_terminal_that_ends_is_a_person_who_gave_up():
-    def ended(line: str) -> str:
-        raise EOFError
-
-    with pytest.raises(RigFault, match="operator gave up"):
-        ManualRig(ended).move_by(1.0)
-
-
-def test_a_hand_holds_no_rate():
-    rig = ManualRig(Person())
-    with pytest.raises(RigFault, match=r"a steady rate"):
-        rig.turn_for(1.0, 6.0)
-
-
-def test_what_a_person_cannot_know_is_nan():
-    rig = ManualRig(Person())
-    rig.enable(True)
-    rig.stop()
-    assert math.isnan(rig.set_acceleration(1.0))
-    assert rig.fault() is None
-    assert rig.identify() == "a person who turns the device by hand"
-
-
 def test_the_travel_counts_for_a_hand_too():
     person = Person()
     with pytest.raises(LimitError, match="travel"):
@@ -193,27 +170,6 @@ def test_turns_by_hand_become_a_session_that_calibrates_the_gyroscopes(by_hand, 
     show("matrix found by turns by hand, off the true one", worst, 1e-3)
     assert worst < 1e-3  # noise of 0.01 dps over 8 s is 0.003 deg of 360
     assert found.gyro.offset == pytest.approx(OFFSET, abs=3e-3)  # 0.01 dps over thousands of samples
-
-
-def test_an_operator_who_gives_up_a_turn_goes_on_with_it_on_resume(by_hand, tmp_path):
-    _, operator, run = by_hand
-    turn, operator.off_deg = operator.__class__.__call__, 0.0
-    before = []
-
-    class GivesUp(Operator):
-        def __call__(self, line):
-            if line.startswith("Turn") and len(before) == 1:
-                before.append(line)
-                return "q"
-            before.extend([line] if line.startswith("Turn") else [])
-            return turn(self, line)
-
-    operator.__class__ = GivesUp
-    with pytest.raises(RigFault, match="operator gave up"):
-        run(tmp_path / "run")
-    assert len(read_session(tmp_path / "run").turns) == 1
-    run(tmp_path / "run", resume=True)
-    assert [turn.axis for turn in read_session(tmp_path / "run").turns] == ["x", "y", "z"]
 
 
 def test_a_protocol_of_turns_reads_back_and_needs_no_rate_table(by_hand, tmp_path):

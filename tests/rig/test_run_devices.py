@@ -122,22 +122,6 @@ def test_a_rest_that_disturbs_one_device_is_taken_again_for_it_alone(tmp_path):
     assert (result.added, result.others[0].added) == (7, 7)
 
 
-def test_one_device_that_is_disturbed_for_good_misses_the_rest_and_the_other_goes_on(tmp_path):
-    bench = simulated(devices=2)
-    with pytest.raises(RigTimeout, match=r"b: expected 7 dwells, got 6.*not at rest in step"):
-        run_two(bench, tmp_path, second={"disturbed": (7, 8, 9)})
-    assert at_rest(bench)
-    assert len(read_session(tmp_path / "a").records) == 7
-
-
-def test_a_device_that_is_gone_before_its_rest_is_taken_again_misses_it(tmp_path):
-    bench = simulated(devices=2)
-    with pytest.raises(RigTimeout, match=r"b: expected 7 dwells, got 6. Step 7 .*expected a device that sends"):
-        run_two(bench, tmp_path, second={"disturbed": (7,), "dead_from": 8})
-    assert at_rest(bench)
-    assert len(read_session(tmp_path / "a").records) == 7
-
-
 def test_a_soak_goes_on_with_the_device_that_answers(tmp_path):
     heated = replace(SHORT, temperatures_c=(30.0, 40.0))
     bench = simulated(devices=2)

@@ -1,13 +1,11 @@
 """The simulated bench: a run on it is a session that calibrates, whatever breaks ends at rest."""
 
-import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from testkit.rig_bench import SHORT
-from undrift.base.clock import PacedClock
 from undrift.calibration.calibrate import calibrate
 from undrift.errors import LinkError, RigError, RigFault, RigTimeout
 from undrift.io.session import read_session
@@ -133,12 +131,3 @@ def test_a_table_turns_for_a_time_and_keeps_its_limits():
     table.close()
     with pytest.raises(RigFault, match="its motor off"):
         table.turn_for(1.0, 2.0)
-
-
-def test_a_pace_is_kept_and_time_stands_still_while_nobody_waits():
-    clock, began = PacedClock(10.0), time.monotonic()
-    clock.wait(2.0)
-    assert time.monotonic() - began >= 0.2
-    assert clock.now() == 2.0
-    time.sleep(0.05)
-    assert clock.now() == 2.0

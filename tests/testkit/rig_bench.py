@@ -8,7 +8,7 @@ import numpy as np
 
 from testkit.virtual_clock import VirtualClock
 from undrift.programme import Protocol, programme_of
-from undrift.rig.chamber import SoakSettings
+from undrift.rig.chamber import ChamberSetup
 from undrift.rig.folder import RunFolder
 from undrift.rig.judge import RunSettings
 from undrift.rig.rig import Limits, RigSettings, open_rig
@@ -117,7 +117,7 @@ class Oven:
 
     def __init__(self, window_s=300.0):
         self.temp_c, self.asked = 25.0, 0
-        self.criterion = SoakSettings(window_s=window_s)
+        self.settings = ChamberSetup(window_s=window_s)
 
     def set(self, temp_c):
         self.temp_c, self.asked = temp_c, 0

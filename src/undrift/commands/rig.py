@@ -313,7 +313,7 @@ def _bench(
 ) -> "RigBench":
     """Connect chamber, operator and, last, the table."""
     from undrift.programme import Soak
-    from undrift.rig.chamber import ChamberSetup, SoakSettings, open_chamber
+    from undrift.rig.chamber import ChamberSetup, open_chamber
     from undrift.rig.manual import AskedOperator
     from undrift.rig.rig import open_rig, parse_address
     from undrift.rig.run import RigBench
@@ -323,8 +323,8 @@ def _bench(
     oven = None
     if chamber is not None:
         slopes = [step.slope_c_per_min for step in programme.steps if isinstance(step, Soak)]
-        soak = SoakSettings(slope_c_per_min=min(slopes, default=SoakSettings().slope_c_per_min))
-        oven = open_chamber(chamber, ChamberSetup(soak=soak, clock=clock), ask=display.ask)
+        slope = min(slopes, default=ChamberSetup().slope_c_per_min)
+        oven = open_chamber(chamber, ChamberSetup(slope_c_per_min=slope, clock=clock), ask=display.ask)
         stack.callback(oven.close)
     mounting = AskedOperator(display.ask)
     # a run that was killed leaves its motor on

@@ -25,7 +25,7 @@ from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -38,32 +38,22 @@ from undrift.programme import Soak
 from undrift.record import Face, Record
 from undrift.rig.link import Link, LinkSettings
 
-FEWEST_READINGS = 6
+FEWEST_READINGS = 6  # of a slope
+BAUD = 9600  # bits per second of a serial port
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SoakSettings:
-    """Criterion for a steady temperature."""
-
-    slope_c_per_min: float = 0.1  # largest slope, K/min
-    window_s: float = 300.0  # window of the criterion, chamber s
-    tolerance_c: float = 0.5  # largest distance from the set-point, K
-
-    def __post_init__(self) -> None:
-        check_positive(self, "soak", "Set a positive value", "slope_c_per_min", "window_s", "tolerance_c")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ChamberSetup:
-    """Limits and connection settings of a chamber, and its criterion for a steady temperature."""
+    """Limits and connection of a chamber, and its criterion for a steady temperature."""
 
     lowest_c: float = 0.0  # lowest set-point, degC (a lower one raises LimitError before a byte is sent)
     highest_c: float = 80.0  # highest set-point, degC
-    soak: SoakSettings = field(default_factory=SoakSettings)  # criterion for a steady temperature
+    slope_c_per_min: float = 0.1  # largest slope of a steady temperature, K/min
+    window_s: float = 300.0  # window of the criterion, chamber s
+    tolerance_c: float = 0.5  # largest distance from the set-point, K
     reply_timeout_s: float = 2.0  # longest wait for an answer, host s
-    baud: int = 9600  # bits per second of a serial port
     clock: Clock = HOST  # clock of the chamber
 
     def __post_init__(self) -> None:
@@ -71,52 +61,52 @@ class ChamberSetup:
             raise InputError(
                 f"chamber: the lowest set-point must be below the highest, got {self.lowest_c} and {self.highest_c} degC. Set both."
             )
-        check_positive(self, "chamber", "Set a positive value", "reply_timeout_s")
+        names = ("slope_c_per_min", "window_s", "tolerance_c", "reply_timeout_s")
+        check_positive(self, "chamber", "Set a positive value", *names)
 
 
 class Steadiness:
     """Window of the latest temperatures that decides if a temperature is steady."""
 
-    def __init__(self, settings: SoakSettings) -> None:
-        self._settings = settings
+    def __init__(self, window_s: float) -> None:
+        self._window_s = window_s
         self._readings: deque[tuple[float, float]] = deque()
 
     def add(self, time_s: float, temp_c: float) -> None:
         """Add a reading and remove the readings before the window."""
         self._readings.append((time_s, temp_c))
         # A busy host may read rarely. The window is then extended to the number of readings that a slope requires.
-        while len(self._readings) > FEWEST_READINGS and self._readings[1][0] <= time_s - self._settings.window_s:
+        while len(self._readings) > FEWEST_READINGS and self._readings[1][0] <= time_s - self._window_s:
             self._readings.popleft()
 
     def slope_c_per_min(self) -> float:
         """Return the largest slope of the window and its halves, K/min, or infinity before the window is full."""
-        if (
-            len(self._readings) < FEWEST_READINGS
-            or self._readings[-1][0] - self._readings[0][0] < self._settings.window_s
-        ):
+        if len(self._readings) < FEWEST_READINGS or self._readings[-1][0] - self._readings[0][0] < self._window_s:
             return math.inf
         t, temp = np.array(self._readings).T
         half = len(t) // 2
         windows = ((t, temp), (t[:half], temp[:half]), (t[half:], temp[half:]))
         return 60.0 * max(abs(_slope(*window)) for window in windows)
 
-    def steady_at(self, temp_c: float) -> bool:
-        """Return True if the temperature is steady at a set-point."""
-        near = all(abs(value - temp_c) <= self._settings.tolerance_c for _, value in self._readings)
-        return near and self.slope_c_per_min() < self._settings.slope_c_per_min
+    def error_c(self, temp_c: float) -> float:
+        """Return the largest distance of the readings from a set-point, K."""
+        return max((abs(value - temp_c) for _, value in self._readings), default=math.inf)
+
+
+def _slope(t: FloatArray, temp: FloatArray) -> float:
+    deviation = t - t.mean()
+    spread = float(deviation @ deviation)
+    return float(deviation @ temp) / spread if spread > 0.0 else math.inf
 
 
 class Chamber(AbstractContextManager["Chamber"]):
-    """Base class of connected chambers, a context manager that closes the chamber at the end.
-
-    A subclass sends set-points, reads the temperature and switches the chamber off.
-    """
+    """Base class of connected chambers, a context manager that closes the chamber at the end."""
 
     near_c: float | None = None  # largest distance of a device from the set-point, K, if the air has no thermometer
 
     def __init__(self, settings: ChamberSetup) -> None:
-        self.settings, self.criterion = settings, settings.soak
-        self._steadiness = Steadiness(settings.soak)
+        self.settings = settings
+        self._steadiness = Steadiness(settings.window_s)
         self._set_point: float | None = None
         self._closed = False
 
@@ -134,7 +124,7 @@ class Chamber(AbstractContextManager["Chamber"]):
         actual_c = self._send(temp_c)
         if abs(actual_c - temp_c) > 0.1:
             raise RigFault(f"chamber: set {temp_c:g} degC, but the chamber reports {actual_c:g}. Check the chamber.")
-        self._set_point, self._steadiness = actual_c, Steadiness(self.settings.soak)
+        self._set_point, self._steadiness = actual_c, Steadiness(self.settings.window_s)
         return actual_c
 
     def read(self) -> float | None:
@@ -148,7 +138,8 @@ class Chamber(AbstractContextManager["Chamber"]):
         if self._set_point is None:
             raise InputError("chamber: no set-point before the soak. Set the temperature first.")
         self.read()
-        return self._steadiness.steady_at(self._set_point)
+        is_near = self._steadiness.error_c(self._set_point) <= self.settings.tolerance_c
+        return is_near and self._steadiness.slope_c_per_min() < self.settings.slope_c_per_min
 
     def close(self) -> None:
         """Switch the chamber off. A second call has no effect."""
@@ -175,7 +166,7 @@ class ScpiChamber(Chamber):
 
     def __init__(self, url: str, settings: ChamberSetup = ChamberSetup()) -> None:
         super().__init__(settings)
-        waits = LinkSettings(reply_timeout_s=settings.reply_timeout_s, baud=settings.baud, clock=settings.clock.host)
+        waits = LinkSettings(reply_timeout_s=settings.reply_timeout_s, baud=BAUD, clock=settings.clock.host)
         self._link = Link(url, waits)
         try:
             self.identity = self._ask("*IDN?")
@@ -198,7 +189,6 @@ class ScpiChamber(Chamber):
                 self._link.close()
 
     def switch_off(self) -> None:
-        """Switch heater and compressor off."""
         if self._number("OUTP OFF;:OUTP?") != 0.0:
             raise RigFault("chamber: heater and compressor are still on. Switch the chamber off by hand.")
 
@@ -239,7 +229,7 @@ def ask_person(ask: Callable[[str], str], line: str, failure: str, advice: str) 
 
 
 class HandChamber(Chamber):
-    """A chamber that a person sets. Its temperature cannot be read."""
+    """A chamber that a person sets. Its temperature cannot be read, so only the device's thermometer can end a soak."""
 
     near_c = 5.0  # self-heating plus the error of an untrimmed thermometer, K
 
@@ -248,15 +238,12 @@ class HandChamber(Chamber):
         self._ask = ask
 
     def read(self) -> None:
-        """Return None, because the temperature cannot be read."""
         return
 
     def soaked(self) -> bool:
-        """Return True, because only the device's thermometer can decide."""
         return True
 
     def switch_off(self) -> None:
-        """Warn that the person must switch the chamber off."""
         if self._set_point is not None:
             log.warning("chamber: set by hand, so it is still on. Switch it off.")
 
@@ -279,12 +266,6 @@ def open_chamber(
     if ask is None:
         raise InputError("chamber: a chamber set by hand requires a person to ask. Use a terminal.")
     return HandChamber(ask, settings)
-
-
-def _slope(t: FloatArray, temp: FloatArray) -> float:
-    deviation = t - t.mean()
-    spread = float(deviation @ deviation)
-    return float(deviation @ temp) / spread if spread > 0.0 else math.inf
 
 
 # ---- Interfaces that a run requires besides the rig and a chamber: the device's readings and an operator, live or simulated.
@@ -328,8 +309,8 @@ class BoardWatch:
 
     def __init__(self, readings: Readings, clock: Clock, step: Soak, chamber: Chamber, lag_s: float) -> None:
         self._readings, self._clock, self._step, self._lag_s = readings, clock, step, lag_s
-        self._near_c, self._window_s = chamber.near_c, chamber.criterion.window_s
-        self._steadiness = Steadiness(SoakSettings(slope_c_per_min=step.slope_c_per_min, window_s=self._window_s))
+        self._near_c, self._window_s = chamber.near_c, chamber.settings.window_s
+        self._steadiness = Steadiness(self._window_s)
         self.temp_c: float | None = None  # latest temperature of the device, degC
         self._look_after_s, self._air_since, self._since = FIRST_LOOK_S, math.inf, clock.now()
         readings.start(certain=False)  # the board changes slowly, so the exact start does not matter

@@ -32,7 +32,7 @@ class AskedOperator:
 
 
 class ManualRig:
-    """A person who is asked, one line at a time."""
+    """A person who is asked, one line at a time: a Rig without motor and link."""
 
     def __init__(self, ask: Callable[[str], str], limits: Limits = Limits(turn_rate=1e3), clock: Clock = HOST) -> None:
         self.limits = limits
@@ -40,18 +40,15 @@ class ManualRig:
         self._angle = 0.0
 
     def identify(self) -> str:
-        """Return a description of the manual rig."""
         return "a person who turns the device by hand"
 
     def enable(self, on: bool) -> None:
-        """Do nothing, because there is no motor."""
+        pass
 
     def set_acceleration(self, acceleration: float) -> float:
-        """Return NaN, because the acceleration of a hand is unknown."""
         return math.nan
 
     def turn_for(self, turn_rate: float, seconds: float) -> float:
-        """Raise RigFault, because a hand cannot turn at a steady rate."""
         raise RigFault("manual rig: a hand cannot turn at a steady rate. Replace [rates] with [turns] in the protocol.")
 
     def move_by(self, angle: float) -> float:
@@ -68,18 +65,16 @@ class ManualRig:
         raise InputError("manual rig: three answers are not an angle in deg. Start again.")
 
     def stop(self) -> None:
-        """Do nothing, because a manual rig does not move without its operator."""
+        pass
 
     def position(self) -> Position:
-        """Return the sum of the reported angles, rad, and the current time."""
         return Position(angle=self._angle, time=self._clock.now())
 
     def fault(self) -> str | None:
-        """Return None, because the operator reports faults."""
         return None
 
     def close(self) -> None:
-        """Do nothing, because there is no link."""
+        pass
 
 
 def open_from(url: str, settings: RigSettings) -> ManualRig:

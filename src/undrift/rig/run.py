@@ -261,7 +261,7 @@ class _Run:
         """Return the air temperature, degC, or None without a chamber. Raise RigFault if it has left the set-point."""
         if self._chamber is None:
             return None
-        air_c, tolerance_c = self._chamber.read(), self._chamber.criterion.tolerance_c
+        air_c, tolerance_c = self._chamber.read(), self._chamber.settings.tolerance_c
         if air_c is not None and step.temp_c is not None and not abs(air_c - step.temp_c) <= tolerance_c:
             raise RigFault(
                 f"chamber: expected {step.temp_c:g} degC within {tolerance_c:g} K in {self._where}, got "
@@ -332,7 +332,7 @@ class _Run:
         def take(device: Mounted) -> RigError | None:
             record = records[device]
             if step.temp_c is not None and self._chamber is not None:
-                check_board(record, self._chamber.criterion.tolerance_c, self._where)
+                check_board(record, self._chamber.settings.tolerance_c, self._where)
             try:
                 missing = check_readings(record, step.dwell_s, settings, self._where)
                 device.rests.check(step, record, self._where)

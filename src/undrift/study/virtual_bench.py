@@ -23,7 +23,7 @@ from undrift.errors import InputError
 from undrift.model import Calibration, DriftTables, TriadModel
 from undrift.programme import Programme, ProgrammeSettings, Protocol, programme_of
 from undrift.record import FACES, Record, Reference, Session
-from undrift.rig.chamber import ChamberSetup, SoakSettings
+from undrift.rig.chamber import ChamberSetup
 from undrift.rig.folder import RunFolder
 from undrift.rig.lock import stopping_on_signals
 from undrift.rig.run import Progress, RigBench, RunResult, run_programme
@@ -45,7 +45,7 @@ UNIT_SEED = 1  # its pitch gyroscope drifts by 0.1 deg/s per K, well inside what
 SET_POINTS_C = (18.0, 31.0, 38.0, 45.0)  # (the worn board is at 37.5 degC, the bench at 25 degC)
 THERMOMETER_LAG_S = 5.0  # in the chamber's moving air
 AIR = AirSettings(ramp_c_per_min=600.0, period_s=8.0, damping=0.8, board_lag_s=4.0)
-SOAK = SoakSettings(slope_c_per_min=0.5, window_s=20.0)
+SOAK = ChamberSetup(slope_c_per_min=0.5, window_s=20.0)
 SETTLE_S = 35.0  # forecast of the air: overshoot, then the window
 
 Tell = Callable[[str, float], None]  # receives the current activity, and the share of the recordings that is done
@@ -103,7 +103,7 @@ def bench_device() -> DeviceModel:
 
 def record_on_bench(plan: BenchPlan, device: DeviceModel, folder: Path, *, tell: Tell) -> BenchRun:
     """Simulate a bench with a device on it and record both protocols."""
-    bench = SimulatedBench((device,), SimulatedSettings(air=AIR, chamber=ChamberSetup(soak=SOAK)))
+    bench = SimulatedBench((device,), SimulatedSettings(air=AIR, chamber=SOAK))
     with stopping_on_signals():
         first = _record(plan, 0, bench, folder, tell)
         second = _record(plan, 1, bench, folder, tell)
