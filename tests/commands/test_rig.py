@@ -99,7 +99,7 @@ def test_check_accepts_a_table_by_its_limit(capsys):
             2,
         ),
         (["run", "p.toml", *SIMULATED[:3], "simulated:?color=red", "-o", "x"], "expected the options seed, device", 2),
-        (["check", "--rig", "simulated:?clock_speed=0"], "clock_speed must be", 2),
+        (["check", "--rig", "simulated:?clock_speed=0"], "not a value for clock_speed", 2),
         (["check", "--rig", "simulated:one"], "must be 'simulated:'", 2),
     ],
 )
