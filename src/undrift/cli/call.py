@@ -18,7 +18,7 @@ from undrift.base.options import WRITTEN
 from undrift.base.spoken import NAMED
 from undrift.cli import examples
 from undrift.cli.screen import Terminal
-from undrift.commands.files import check_report, files_in, origin_of
+from undrift.commands.files import check_output, files_in, origin_of
 from undrift.errors import InputError
 from undrift.report.report import Report, as_json, plain
 from undrift.report.terminal import say, show
@@ -81,7 +81,7 @@ def call(arguments: Sequence[str]) -> int:
         NAMED.set(_option_names(command))
         read = files_in(tuple(value for key, value in bound.arguments.items() if not _is_output(command, key)))
         inputs = tuple(dict.fromkeys(read))
-        check_report(report, reads=inputs)
+        check_output(report, endings=(".html",), reads=inputs)
         origin = None if report is None else origin_of(*inputs)  # before the command, which may overwrite its input
         with Terminal(name) as terminal, showing_on(terminal):
             result: Report = command(*bound.args, **bound.kwargs)

@@ -31,7 +31,7 @@ from undrift.base.summary import Result, findings_of, plain
 from undrift.cli import examples
 from undrift.cli.app import COMMANDS
 from undrift.commands import GROUPS, VERBS, Progress, Screen
-from undrift.commands.files import check_report, files_in, origin_of
+from undrift.commands.files import check_output, files_in, origin_of
 from undrift.findings import SHOWN_FIRST, Finding, Verdict, most_consequential_first
 
 if TYPE_CHECKING:
@@ -318,7 +318,7 @@ def command_of(name: str, verb: Callable[..., Result]) -> Callable[..., int]:
     def command(*words: Any, report: Path | None = None, details: bool = False, json: bool = False, **more: Any) -> int:
         NAMED.set(frozenset(names) | {"reference_map"})  # info also sends people to validate
         files = tuple(dict.fromkeys(files_in((*words, *(more.get(key) for key in read)))))
-        check_report(report, reads=files)
+        check_output(report, endings=(".html",), reads=files)
         origin = None if report is None else origin_of(*files)  # before the command, which may overwrite its input
         with ExitStack() as stack:
             result = verb(*words, **more, **{key: stack.enter_context(SHOWN_BY[hints[key]](name)) for key in injected})

@@ -9,13 +9,17 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from undrift.commands.files import Opening
 from undrift.errors import InputError
+from undrift.files import checked_file
+from undrift.io.formats import detect
+from undrift.io.inspect import needs_map
+from undrift.io.session import read_session
+from undrift.io.store import KIND, read_calibration
+from undrift.model import Calibration
 
-if TYPE_CHECKING:
-    from undrift.model import Calibration
+NO_DATE = datetime.min.replace(tzinfo=UTC)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,14 +27,12 @@ class ChosenCalibration:
     """A calibration and its file."""
 
     path: Path | None = None
-    model: "Calibration | None" = None  # None if no calibration was named
+    model: Calibration | None = None  # None if no calibration was named
     notes: tuple[str, ...] = ()  # which file was taken from a folder
 
 
 def choose_calibration(source: Path | None, recordings: Sequence[Path], opening: Opening) -> ChosenCalibration:
     """Return the calibration in a file, or the newest calibration in a folder with the recordings' serial number."""
-    from undrift.io.store import read_calibration
-
     if source is None:
         return ChosenCalibration()
     if not source.is_dir():
@@ -38,43 +40,32 @@ def choose_calibration(source: Path | None, recordings: Sequence[Path], opening:
     serials = {serial_of(path, opening) for path in recordings}
     if len(serials) > 1:
         raise InputError(
-            f"{source}: the recordings are of several devices ({', '.join(sorted(serials))}), and one calibration "
-            f"is applied to all "
-            "of them. Run the command once for each device."
+            f"{source}: the recordings are of several devices ({', '.join(sorted(serials))}), and one calibration is "
+            "applied to all of them. Run the command once for each device."
         )
     (serial,) = serials
-    calibrations = [(path, read_calibration(path)) for path in calibration_files(source)]
-    matches = sorted(
-        ((_created(model), path, model) for path, model in calibrations if model.device == serial), key=lambda x: x[:2]
-    )
-    if not matches:
-        other_serials = (
-            ", ".join(sorted({model.device or "without serial number" for _, model in calibrations}))
-            or "no calibration"
-        )
+    models = {path: read_calibration(path) for path in calibration_files(source)}
+    dates = {path: _created(model) for path, model in models.items() if model.device == serial}
+    if not dates:
+        others = sorted({model.device or "without serial number" for model in models.values()})
         raise InputError(
-            f"{source}: no calibration of {serial} in this folder. It contains {other_serials}. Name the file."
+            f"{source}: no calibration of {serial} in this folder. It contains {', '.join(others) or 'no calibration'}. "
+            "Name the file."
         )
-    newest = [match for match in matches if match[0] == matches[-1][0]]
+    newest = [path for path, date in dates.items() if date == max(dates.values())]
     if len(newest) > 1:
-        names = ", ".join(str(path.relative_to(source)) for _, path, _ in newest)
+        names = ", ".join(str(path.relative_to(source)) for path in newest)
         raise InputError(
             f"{source}: several newest calibrations of {serial} have the same date: {names}. Name one of these files."
         )
-    (date, path, model), count = newest[0], len(matches)
-    date_text = "no stated date" if date == datetime.min.replace(tzinfo=UTC) else f"{date:%Y-%m-%d}"
-    note = (
-        f"calibration {path}: the newest of {count} of {serial}, made {date_text}"
-        if count > 1
-        else f"calibration {path} of {serial}"
-    )
-    return ChosenCalibration(path=path, model=model, notes=(note,))
+    path = newest[0]
+    made = "without a date" if dates[path] == NO_DATE else f"of {dates[path]:%Y-%m-%d}"
+    note = f"The calibration is {path} {made}, the newest of {len(dates)} of {serial}."
+    return ChosenCalibration(path=path, model=models[path], notes=(note,))
 
 
 def calibration_files(folder: Path) -> Iterator[Path]:
     """Yield the calibrations of a folder and its subfolders. An unreadable JSON file raises an error."""
-    from undrift.io.store import KIND
-
     for path in sorted(folder.rglob("*.json")):
         try:
             content = json.loads(path.read_bytes())
@@ -88,11 +79,6 @@ def calibration_files(folder: Path) -> Iterator[Path]:
 
 def serial_of(recording: Path, opening: Opening) -> str:
     """Return the serial number of a recording or session. Raise an error if it has none."""
-    from undrift.files import checked_file
-    from undrift.io.formats import detect
-    from undrift.io.inspect import needs_map
-    from undrift.io.session import read_session
-
     if not recording.is_dir():
         checked_file(recording)
     if detect(recording) == "session":
@@ -109,10 +95,9 @@ def serial_of(recording: Path, opening: Opening) -> str:
     return serial
 
 
-def _created(model: "Calibration") -> datetime:
-    """Return the date of a calibration, or the earliest possible date if it has none."""
+def _created(model: Calibration) -> datetime:
     try:
         date = datetime.fromisoformat(model.provenance.created)
     except ValueError:
-        return datetime.min.replace(tzinfo=UTC)
+        return NO_DATE
     return date if date.tzinfo else date.replace(tzinfo=UTC)

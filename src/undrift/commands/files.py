@@ -1,7 +1,6 @@
-"""Inputs and outputs of commands: recordings with their map or a stored map, sessions, references, devices.
+"""Inputs and outputs of commands: recordings with their map or a stored map, sessions, references, and files to write.
 
-Settings for reading are dataclasses marked ``@options``. Each field is an option of the command line. Nothing here
-imports numpy before a command runs, so that ``--help`` is quick.
+Settings for reading are dataclasses marked ``@options``. Each field is an option of the command line.
 """
 
 import json
@@ -10,32 +9,46 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
+import numpy as np
 from cyclopts import Parameter
 
 from undrift.base.options import WRITTEN, Policy, Up, options, stated
-from undrift.base.spoken import CALLED
-from undrift.base.summary import Origin, plain
-from undrift.errors import InputError
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from undrift.findings import Finding
-    from undrift.io.column_map import ColumnMap
-    from undrift.io.reference import ReferenceMap
-    from undrift.model import BodyMounting, Calibration
-    from undrift.record import FileMap, GravitySource, Kind, Record, Reference, Session, Still
-    from undrift.sim.device.model import DeviceModel
+from undrift.base.spoken import CALLED, option_of
+from undrift.base.summary import Origin
+from undrift.correction.correct import correct_checked
+from undrift.errors import Implausible, InputError
+from undrift.files import sha256_of, write_whole
+from undrift.findings import Finding, finding
+from undrift.io.column_map import ColumnMap, file_map_of, map_of, one_map, read_map, read_toml
+from undrift.io.formats import (
+    detect,
+    format_of,
+    holds_poses,
+    iter_record,
+    read_markers,
+    read_record,
+    read_reference,
+)
+from undrift.io.inspect import needs_map
+from undrift.io.mocap import pose_from_cluster
+from undrift.io.reference import ReferenceMap, read_reference_map
+from undrift.io.session import NAME, SessionFile, files_of, gravity_of, read_session, session_from_files
+from undrift.model import BodyMounting, Calibration
+from undrift.record import FileMap, Kind, Record, Reference, Session, Still
+from undrift.report.report import plain
+from undrift.sim.device.model import DeviceModel, read_device
+from undrift.sim.device.presets import PRESETS, preset, random_device
+from undrift.units import STANDARD_GRAVITY, is_physical
 
 
 @dataclass(frozen=True)
 class Kept:
     """The map that a calibration keeps of its device."""
 
-    path: Path  # Of the calibration
-    file_map: "FileMap"
+    path: Path  # of the calibration
+    file_map: FileMap
 
 
 @options
@@ -55,53 +68,62 @@ class Opening:
         Which sensor, stream or topic, in a file of several.
     """
 
-    column_map: Annotated[Path | None, Parameter(name="--map")] = None  # overrules the map that a calibration keeps
+    column_map: Annotated[Path | None, Parameter(name="--map")] = None
     sample_rate_hz: float | None = None
     sensor: str | None = None
-    kept: Annotated["Kept | None", Parameter(parse=False)] = None
+    kept: Annotated[Kept | None, Parameter(parse=False)] = None
 
-    def like(self, model: "Calibration | None", path: Path | None) -> "Opening":
+    def like(self, model: Calibration | None, path: Path | None) -> "Opening":
         """Return how to read the recordings of a calibrated device: by the map that its calibration keeps."""
         if model is None or path is None or model.file_map is None:
             return self
         return replace(self, kept=Kept(path, model.file_map))
 
-    def file_map(self) -> "FileMap | None":
-        """Return the map with the options over it; None where neither states anything."""
-        from undrift.io.column_map import ColumnMap, file_map_of, read_map
-
+    def file_map(self) -> FileMap | None:
+        """Return the named map with the options over it, or None without any."""
         if self.column_map is not None:
-            return file_map_of(read_map(self.column_map, **self._options()))
-        stated = {key: value for key, value in self._options().items() if value is not None}
-        return file_map_of(ColumnMap(**stated)) if stated else None
+            return file_map_of(read_map(self.column_map, **self._keys))
+        return file_map_of(ColumnMap(**self._keys)) if self._keys else None
 
     def words(self) -> list[object]:
         """Return the options as they were given."""
-        return [
-            *stated(
-                map=self.column_map,
-                sample_rate_hz=self.sample_rate_hz,
-                sensor=self.sensor,
-            )
-        ]
+        return [*stated(map=self.column_map, **self._keys)]
 
-    def _options(self) -> dict[str, Any]:
-        return {"sample_rate_hz": self.sample_rate_hz, "sensor": self.sensor}
+    @property
+    def _keys(self) -> dict[str, Any]:
+        keys = {"sample_rate_hz": self.sample_rate_hz, "sensor": self.sensor}
+        return {key: value for key, value in keys.items() if value is not None}
 
-    def how(self, path: Path) -> "ColumnMap":
+    def how(self, path: Path) -> ColumnMap:
         """Return how to read a file: by the map that was named, else as it is, else by the map that the calibration keeps."""
-        from undrift.io.column_map import map_of, one_map, read_map
-        from undrift.io.inspect import needs_map
-
         if self.column_map is not None:
-            return one_map(read_map(self.column_map, **self._options()))
+            return one_map(read_map(self.column_map, **self._keys))
         kept = map_of(None if self.kept is None else self.kept.file_map)
         kept = map_of(None) if kept.columns is not None and not needs_map(path) else kept
-        return one_map(kept.but(**{key: value for key, value in self._options().items() if value is not None}))
+        return one_map(kept.but(**self._keys))
+
+    def record(self, path: Path) -> Record:
+        """Read one file, or folder of a device."""
+        with self._naming_map(path):
+            return read_record(path, self.how(path))
+
+    def chunks(self, path: Path) -> Iterator[Record]:
+        """Read one file in chunks."""
+        with self._naming_map(path):
+            yield from iter_record(path, self.how(path))
+
+    def read(self, path: Path) -> Record:
+        """Read a recording. For a session folder, read its only recording."""
+        if detect(path) != "session":
+            return self.record(path)
+        records = read_session(path).records
+        if len(records) > 1:
+            raise InputError(f"{path}: expected one recording, got a session of {len(records)}. Name one of its files.")
+        return records[0]
 
     @contextmanager
-    def _fitting(self, path: Path) -> Iterator[None]:
-        """Name file and calibration where a file does not fit the map that the calibration keeps."""
+    def _naming_map(self, path: Path) -> Iterator[None]:
+        """Name file and calibration in the error of a file that does not fit the map of the calibration."""
         try:
             yield
         except InputError as error:
@@ -110,35 +132,9 @@ class Opening:
             text = str(error).removeprefix(f"{path}: ")
             raise InputError(
                 f"{path}: the file does not match the map stored in {self.kept.path} for its device: {text}. Name "
-                f"another map with `column_map`.",
+                "another map with `column_map`.",
                 **error.numbers,
             ) from error
-
-    def record(self, path: Path) -> "Record":
-        """Read one file, or folder of a device."""
-        from undrift.io.formats import read_record
-
-        with self._fitting(path):
-            return read_record(path, self.how(path))
-
-    def chunks(self, path: Path) -> "Iterator[Record]":
-        """Read one file in chunks."""
-        from undrift.io.formats import iter_record
-
-        with self._fitting(path):
-            yield from iter_record(path, self.how(path))
-
-    def read(self, path: Path) -> "Record":
-        """Read a recording. For a session folder, read its only recording."""
-        from undrift.io.formats import detect
-        from undrift.io.session import read_session
-
-        if detect(path) != "session":
-            return self.record(path)
-        records = read_session(path).records
-        if len(records) > 1:
-            raise InputError(f"{path}: expected one recording, got a session of {len(records)}. Name one of its files.")
-        return records[0]
 
 
 @options
@@ -156,13 +152,11 @@ class NamedRest:
 
     @property
     def stop_s(self) -> float | None:
-        """End of the named stretch, s, or None without a name or an end."""
+        """End of the named stretch, s, or None without a name."""
         return None if self.rest_s is None else ends_of("`rest_s`", self.rest_s, "s")[1]
 
-    def still_in(self, record: "Record") -> "Still | None":
+    def still_in(self, record: Record) -> Still | None:
         """Return the named stretch of a recording, or None if none was named."""
-        from undrift.record import Still
-
         if self.rest_s is None:
             return None
         start_s, stop_s = ends_of("`rest_s`", self.rest_s, "s")
@@ -217,125 +211,107 @@ class Place:
     height_m: float | None = None
     serial: str = ""
 
-    def gravity(self, *, of_session: bool = False) -> "tuple[float, GravitySource]":
-        """Return local gravity and its source. With a session, a latitude without gravity applies to its rate table."""
-        from undrift.io.session import gravity_of
 
-        alone = of_session and self.height_m is None
-        return gravity_of(self.gravity_m_s2, None if alone else self.latitude_deg, self.height_m)
+# ---- sessions
 
 
-def session_of(files: tuple[Path, ...], place: Place, opening: Opening, *, kind: "Kind" = "calibration") -> "Session":
+def session_folder(path: Path) -> Path | None:
+    """Return the folder of a session that is named by its folder or its session.toml, or None."""
+    folder = path.parent if path.name == NAME else path
+    return folder if path.name == NAME or (path / NAME).is_file() else None
+
+
+def session_of(files: tuple[Path, ...], place: Place, opening: Opening, *, kind: Kind = "calibration") -> Session:
     """Read a session folder, or make a session of bare recordings."""
-    from undrift.io.session import NAME, read_session, session_from_files
-
-    named_sessions = [file for file in files if (file / NAME).is_file() or file.name == NAME]
-    if not named_sessions:
-        bare = [file for file in files if file.is_dir() and not is_recording(file)]
-        if bare:  # raises a message about the content of a session folder
-            read_session(bare[0])
+    named = [file for file in files if session_folder(file) is not None]
+    if not named:
+        for folder in (file for file in files if file.is_dir() and not is_recording(file)):
+            read_session(folder)  # raises a message about the content of a session folder
         return session_from_files(files, opening.file_map(), kind=kind, **asdict(place))
     if len(files) > 1:
         raise InputError(
-            f"{named_sessions[0]}: expected one session, or recordings, got a session and {len(files) - 1} more. Name only "
-            f"the session, "
-            "or list the recordings in its session.toml."
+            f"{named[0]}: expected one session, or recordings, got a session and {len(files) - 1} more. Name only the "
+            "session, or list the recordings in its session.toml."
         )
-    session = read_session(named_sessions[0])
-    options: dict[str, object] = {"--map": opening.column_map}
+    session = read_session(named[0])
+    fixed = {name: getattr(opening, name) for name in ("column_map", "sample_rate_hz", "sensor")}
+    fixed |= {"serial": place.serial or None}
     if session.gravity_source != "standard":
-        options |= {"--gravity-m-s2": place.gravity_m_s2, "--height-m": place.height_m}
-    options |= {"--sample-rate-hz": opening.sample_rate_hz, "--sensor": opening.sensor}
-    used = [name for name, value in (options | {"--serial": place.serial or None}).items() if value is not None]
+        fixed |= {"gravity_m_s2": place.gravity_m_s2, "height_m": place.height_m}
+    used = [option_of(name) for name, value in fixed.items() if value is not None]
     if used:
-        raise InputError(
-            f"{named_sessions[0]}: {', '.join(used)} cannot be used with a session. Set them in its session.toml."
-        )
+        raise InputError(f"{named[0]}: {', '.join(used)} cannot be used with a session. Set them in its session.toml.")
     if session.gravity_source == "standard":
-        gravity_m_s2, source = place.gravity(of_session=True)
+        # a latitude without a height is that of the rate table
+        latitude_deg = None if place.height_m is None else place.latitude_deg
+        gravity_m_s2, source = gravity_of(place.gravity_m_s2, latitude_deg, place.height_m)
         session = replace(session, gravity_m_s2=gravity_m_s2, gravity_source=source)
     return session
 
 
-def thermal_session(path: Path, opening: Opening, model: "Calibration | None") -> "Session":
+def thermal_session(path: Path, opening: Opening, model: Calibration | None) -> Session:
     """Read a session. A single recording becomes a session."""
-    from undrift.files import sha256_of
-    from undrift.io.column_map import file_map_of, map_of
-    from undrift.io.formats import detect
-    from undrift.io.session import read_session
-    from undrift.record import Session
-    from undrift.units import STANDARD_GRAVITY
-
     if detect(path) == "session":
         return read_session(path)
-    file_map, gravity_m_s2 = opening.file_map(), STANDARD_GRAVITY if model is None else model.gravity_m_s2
-    record = opening.record(path)
-    inputs = ((path.name, sha256_of(path)),) if path.is_file() else ()
-    # a stretch belongs to one recording
-    file_map = file_map and file_map_of(map_of(file_map), without=("leave_out",))
-    about: Any = {"serial": record.device, "gravity_m_s2": gravity_m_s2, "inputs": inputs, "file_map": file_map}
-    return Session(kind="thermal", records=(record,), **about)
+    record, file_map = opening.record(path), opening.file_map()
+    return Session(
+        kind="thermal",
+        records=(record,),
+        serial=record.device,
+        gravity_m_s2=STANDARD_GRAVITY if model is None else model.gravity_m_s2,
+        inputs=((path.name, sha256_of(path)),) if path.is_file() else (),
+        file_map=file_map and file_map_of(map_of(file_map), without=("leave_out",)),  # stretches of this recording
+    )
 
 
 def is_recording(path: Path) -> bool:
     """Return True if a file or folder is a recording, possibly damaged."""
-    from undrift.io.formats import format_of
-
     with suppress(InputError):
         return format_of(path)[1].record is not None
     return path.is_file()
 
 
-def _files_of(folder: Path) -> list[list[str]]:
-    """Return the files of each recording that a session states."""
-    from undrift.io.column_map import read_toml
-    from undrift.io.session import NAME, SessionFile, files_of
-
-    return [files_of(entry) for entry in read_toml(SessionFile, folder / NAME)[0].recording]
-
-
 def recording_of(files: tuple[Path, ...]) -> Path | None:
     """Return a recording for the next command: the first one. Return None if it consists of two files."""
-    from undrift.io.session import NAME
-
-    folder = files[0] if files[0].is_dir() else files[0].parent
-    if not (folder / NAME).is_file() or files[0].name not in (NAME, folder.name):
+    folder = session_folder(files[0])
+    if folder is None:
         return files[0]
-    first = _files_of(folder)[0]
-    return folder / first[0] if len(first) == 1 else None
+    names = _names_in(folder)[0]
+    return folder / names[0] if len(names) == 1 else None
 
 
 def recordings_of(
     files: tuple[Path, ...], opening: Opening, place: Place = Place()
-) -> "tuple[tuple[Path, ...], Session | None]":
+) -> tuple[tuple[Path, ...], Session | None]:
     """Return the named recordings, or the recordings of the named session and the session."""
-    from undrift.io.session import NAME
-
-    folder = files[0] if files[0].is_dir() else files[0].parent
-    if files[0].name != NAME and not (files[0] / NAME).is_file():
+    folder = session_folder(files[0])
+    if folder is None:
         return files, None
-    session = session_of(files, place, opening)
-    return tuple(folder / names[0] for names in _files_of(folder)), session
+    return tuple(folder / names[0] for names in _names_in(folder)), session_of(files, place, opening)
 
 
-def check_physical(record: "Record", path: Path) -> None:
+def _names_in(folder: Path) -> list[list[str]]:
+    """Return the names of the files of each recording of a session."""
+    return [files_of(entry) for entry in read_toml(SessionFile, folder / NAME)[0].recording]
+
+
+# ---- readings and their calibration
+
+
+def check_physical(record: Record, path: Path) -> None:
     """Refuse counts and volts of a recording that no calibration gives a physical unit."""
-    from undrift.units import is_physical
-
     for name, values, unit in (("gyro", record.gyro, record.gyro_unit), ("accel", record.accel, record.accel_unit)):
         if values is not None and not is_physical(unit):
             raise InputError(
                 f"{path}: expected physical units or a calibration of the device, got {name} in {unit}. Add "
-                f"`calibration` calibration.json."
+                "`calibration` calibration.json."
             )
 
 
 def corrected(
-    readings: "Record", path: Path, model: "Calibration | None", applying: TableUse
-) -> "tuple[Record, tuple[Finding, ...], tuple[str, ...]]":
+    readings: Record, path: Path, model: Calibration | None, applying: TableUse
+) -> tuple[Record, tuple[Finding, ...], tuple[str, ...]]:
     """Return the readings by their calibration, if there is one, what speaks against them, and notes."""
-    from undrift.correction.correct import correct_checked
-
     if model is None:
         check_physical(readings, path)
         return readings, (), ()
@@ -343,35 +319,30 @@ def corrected(
     return done.record, tuple(item for item in done.findings if item.level == "warn"), done.notes
 
 
-def calibration_findings(model: "Calibration | None") -> "tuple[Finding, ...]":
+def calibration_findings(model: Calibration | None) -> tuple[Finding, ...]:
     """Return one finding in place of those of a calibration whose verdict is not good."""
-    from undrift.findings import finding
-
     if model is None or model.verdict.status == "good":
         return ()
     status, count = model.verdict.status, sum(item.level != "info" for item in model.verdict.findings)
     return (finding("calibration.verdict", "fail" if status == "bad" else "warn", status=status, count=count),)
 
 
-def worn_by(model: "Calibration | None", forward: str | None, up: str | None) -> "BodyMounting | None":
+def worn_by(model: Calibration | None, forward: str | None, up: str | None) -> BodyMounting | None:
     """Return the mounting in a calibration, or None if the sides of the device are given instead."""
     return None if model is None or forward or up else model.mounting
 
 
-def calibrated_part(record: "Record", model: "Calibration") -> "tuple[Record, tuple[str, ...]]":
+def calibrated_part(record: Record, model: Calibration) -> tuple[Record, tuple[str, ...]]:
     """Leave out, with a note, the triad that stays in counts or volts because the calibration has no model of it."""
-    from undrift.units import is_physical
-
     if record.gyro is None or record.accel is None or (model.gyro is None and model.accel is None):
         return record, ()
-    for name, what, triad, si in (
-        ("accel", "accelerometers", model.accel, "m/s2"),
-        ("gyro", "gyroscopes", model.gyro, "rad/s"),
-    ):
+    for name, words, si in (("accel", "accelerometers", "m/s2"), ("gyro", "gyroscopes", "rad/s")):
         unit = getattr(record, f"{name}_unit")
-        if triad is None and not is_physical(unit):
+        if getattr(model, name) is None and not is_physical(unit):
             removed: dict[str, Any] = {name: None, f"{name}_unit": si}
-            note = f"the {what} are left out of the result: their readings are in {unit}, and the calibration has no model of them"
+            note = (
+                f"The {words} are left out of the result: they are in {unit}, and the calibration has no model of them."
+            )
             return replace(record, **removed), (note,)
     return record, ()
 
@@ -379,13 +350,14 @@ def calibrated_part(record: "Record", model: "Calibration") -> "tuple[Record, tu
 @contextmanager
 def named_columns(path: Path) -> Iterator[None]:
     """Add the file and the remedial option to errors about columns, units or sample rate."""
-    from undrift.errors import Implausible
-
     try:
         yield
     except Implausible as error:
         rate, message = error.numbers.get("sample_rate_hz"), f"{path}: {str(error).removeprefix(f'{path}: ')}"
         raise Implausible(message + (f": `sample_rate_hz` {rate:.4g}" if rate else ""), **error.numbers) from error
+
+
+# ---- references and devices
 
 
 def labels_of(markers: str | None) -> tuple[str, ...] | None:
@@ -415,11 +387,9 @@ class Optics:
     reference_up: Up = None
 
     def pairs(
-        self, records: tuple[Path, ...], opening: Opening, *, command: str, session: "Session | None" = None
-    ) -> list[tuple["Record", "Reference"]]:
+        self, records: tuple[Path, ...], opening: Opening, *, command: str, session: Session | None = None
+    ) -> list[tuple[Record, Reference]]:
         """Read recordings, or use the recordings of a session, and read the reference of each."""
-        from undrift.io.formats import holds_poses
-
         paths = self.reference
         if not paths and all(holds_poses(record) for record in records):
             paths = records
@@ -433,53 +403,40 @@ class Optics:
 
     def of_cluster(self) -> bool:
         """Return True if the poses belong to a cluster of markers, whose axes are arbitrary."""
-        from undrift.io.formats import format_of
-
         return self.markers is not None and any(format_of(path)[1].markers for path in self.reference)
 
-    def read(self, paths: tuple[Path, ...]) -> "list[Reference]":
+    def read(self, paths: tuple[Path, ...]) -> list[Reference]:
         """Read references with these options."""
-        from undrift.io.reference import read_reference_map
-
-        labels = labels_of(self.markers)
         columns = None if self.reference_map is None else read_reference_map(self.reference_map)
         if self.reference_map is not None and columns is None:
             raise InputError(
                 f"{self.reference_map}: expected a map of orientations, got none. Set columns = {{ quaternion = [w, x, y, z] }}."
             )
-        return [_poses(path, columns, labels, self.reference_up) for path in paths]
+        return [self._poses(path, columns) for path in paths]
+
+    def _poses(self, path: Path, columns: ReferenceMap | None) -> Reference:
+        """Read a reference. Errors name the options that a file of markers needs."""
+        labels, entry = labels_of(self.markers), format_of(path)[1]
+        if entry.markers is None:
+            return read_reference(path, columns, labels=labels if entry.bodies else None, up=self.reference_up)
+        try:
+            markers = read_markers(path, up=self.reference_up)
+        except InputError as error:
+            if self.reference_up is not None or error.numbers.get("missing") != "up":
+                raise
+            raise InputError(
+                f"{path}: expected the axis that points up, got none. Set `reference_up` y or `reference_up` z."
+            ) from error
+        if labels is None:
+            raise InputError(
+                f"{path}: expected the labels of one rigid cluster, got none. Set `markers` to three or more, separated "
+                f"by commas, of {', '.join(markers.labels)}."
+            )
+        return pose_from_cluster(markers, labels)
 
 
-def _poses(path: Path, columns: "ReferenceMap | None", labels: tuple[str, ...] | None, up: Up) -> "Reference":
-    """Read a reference. Errors name the options that a file of markers needs."""
-    from undrift.io.formats import format_of, read_markers, read_reference
-    from undrift.io.mocap import pose_from_cluster
-
-    entry = format_of(path)[1]
-    if entry.markers is None:
-        return read_reference(path, columns, labels=labels if entry.bodies else None, up=up)
-    try:
-        markers = read_markers(path, up=up)
-    except InputError as error:
-        if up is not None or error.numbers.get("missing") != "up":
-            raise
-        raise InputError(
-            f"{path}: expected the axis that points up, got none. Set `reference_up` y or `reference_up` z."
-        ) from error
-    if labels is None:
-        raise InputError(
-            f"{path}: expected the labels of one rigid cluster, got none. Set `markers` to three or more, separated "
-            f"by commas, of "
-            f"{', '.join(markers.labels)}."
-        )
-    return pose_from_cluster(markers, labels)
-
-
-def device_at(name: str, rng: "np.random.Generator", *, draw: bool) -> "DeviceModel":
+def device_at(name: str, rng: np.random.Generator, *, draw: bool) -> DeviceModel:
     """Return a preset's typical unit, or one drawn within its tolerances, or the device of a file."""
-    from undrift.sim.device.model import read_device
-    from undrift.sim.device.presets import PRESETS, preset, random_device
-
     if name in PRESETS:
         return random_device(rng, grade=name) if draw else preset(name)
     if not Path(name).exists():
@@ -527,11 +484,6 @@ def check_output(
             raise InputError(f"{file}: this file is also read and cannot be written. Choose another name.")
 
 
-def check_report(path: Path | None, *, reads: Iterable[Path | None] = ()) -> None:
-    """Refuse a page whose ending is not .html, and what ``check_output`` refuses."""
-    check_output(path, endings=(".html",), reads=reads)
-
-
 def check_folder(path: Path | None) -> None:
     """Refuse a folder that cannot be written to, nor made in a folder that exists."""
     if path is None:
@@ -553,12 +505,10 @@ def name_of(path: Path) -> str:
 
 def _holds(read: Path, target: Path) -> bool:
     """Return True if a file is the input, or inside the input folder."""
-    from undrift.io.session import NAME
-
     if not read.is_dir():
         return read.exists() and target.samefile(read)
     if (read / NAME).is_file():
-        names = [NAME, *(name for names_of_record in _files_of(read) for name in names_of_record)]
+        names = [NAME, *(name for names_of_record in _names_in(read) for name in names_of_record)]
     else:
         names = [file.name for file in read.iterdir()]  # of a device that records into a folder
     return any((read / name).exists() and target.samefile(read / name) for name in names)
@@ -579,17 +529,11 @@ def files_in(value: object) -> Iterator[Path]:
 
 def save_json(path: Path, value: object) -> None:
     """Write a JSON object to a file, with NaN as null."""
-    from undrift.files import write_whole
-
     write_whole(path, json.dumps(plain(value), indent=1, allow_nan=False) + "\n")
 
 
 def origin_of(*read: Path | None) -> Origin:
-    """Return the origin of a page: the command, and its files with their sha256. Files in folders are listed
-    separately.
-    """
-    from undrift.files import sha256_of
-
+    """Return the origin of a page: the command, and its files with their sha256, those of folders separately."""
     paths = [path for path in read if path is not None and path.exists()]
     files = {
         file: str(file.relative_to(path.parent)) if path.is_dir() else path.name

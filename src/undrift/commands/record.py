@@ -391,8 +391,9 @@ def _guides(name: str | None, folder: Path, place: Place) -> Guides:
     """Return the guides of a calibration by hand, which share their captures."""
     from undrift.commands.bench.capture import Capture
     from undrift.commands.bench.guides import Poses, SixFaces, Turns
+    from undrift.io.session import gravity_of
 
-    gravity, how = place.gravity()
+    gravity, how = gravity_of(place.gravity_m_s2, place.latitude_deg, place.height_m)
     capture = Capture(folder, place.serial, gravity_m_s2=None if how == "standard" else gravity)
     kinds = {"six-faces": (SixFaces,), "turns": (SixFaces, Turns), "poses": (Poses,)}
     return [kind(capture) for kind in kinds.get(name or "", ())]
