@@ -324,7 +324,9 @@ def check_time(time: FloatArray) -> None:
 def sample_rate_of(time: FloatArray) -> float:
     """Return samples per second. Drop-outs (steps over 1.5 medians) are excluded from the mean."""
     steps = np.diff(time)
-    return float(1.0 / steps[steps <= 1.5 * np.median(steps)].mean())
+    if len(steps) and steps.max() > 1.5 * steps.min():
+        steps = steps[steps <= 1.5 * np.median(steps)]
+    return float(1.0 / steps.mean())
 
 
 def _check_triad(name: str, values: ArrayLike | None, unit: str, example: str) -> int:

@@ -14,7 +14,7 @@ from undrift.arrays import BoolArray, FloatArray
 from undrift.errors import Implausible
 from undrift.findings import Finding, above, finding
 from undrift.fit.priors import SCALE_LIMIT
-from undrift.io.inspect import saturated_runs
+from undrift.io.inspect import STUCK, saturated_runs
 from undrift.model import AXES
 from undrift.record import FACES, Face, Record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, is_physical, si_factor
@@ -107,6 +107,9 @@ NEAR_ZERO = 0.1  # relative to the largest reading: a level nearer to zero is th
 
 def end_readings(column: FloatArray) -> list[float]:
     """Return the readings at which a column (N,) sticks because the range ends."""
+    ends = np.array([end.reduce(column) for end in (np.fmin, np.fmax)]) if len(column) else np.zeros(0)
+    if np.isfinite(ends).all() and all((column == end).sum() < STUCK for end in ends):
+        return []  # too few readings at either end, as in most windows
     limits = [limit for limit, _ in saturated_runs(column)]
     values, counts = np.unique(column[np.isfinite(column)], return_counts=True)
     if len(values) > MANY_VALUES:  # most readings at one end, which ``saturated_runs`` considers the usual level

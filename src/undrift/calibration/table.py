@@ -104,7 +104,8 @@ def dwell_means(
     windows = smooth = [np.asarray(record.gyro) for record in parts]
     if cutoff_hz is not None:
         smooth = [spline_filter(record.time, w, cutoff_hz) for record, w in zip(parts, windows, strict=True)]
-    noise = noise_of_means(windows, [block_size(records[t.recording].sample_rate_hz) for t in turns])
+    sizes = [block_size(record.sample_rate_hz) for record in records]
+    noise = noise_of_means(windows, [sizes[t.recording] for t in turns])
     step = code_steps([records[k] for k in {t.recording for t in turns}], rate=True)
     codes = code_variance(step, scatter_of_readings(windows))
     return DwellMeans(

@@ -27,6 +27,7 @@ zero. With M_0 and H of the previous step, it is the prior of G - (M - M_0) H.
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -114,7 +115,7 @@ def solve(
     length = np.linalg.norm(design, axis=0)
     length[length == 0.0] = 1.0
     parts = {name: _matrix(share) for name, share in sources.items()}
-    shapes = {kind: _matrix(shape) for kind, shape in (excess or {}).items()}
+    shapes = {kind: _Shape.of(shape) for kind, shape in (excess or {}).items()}
     rows = _GlsRows(
         design=design / length,
         value=value,
@@ -124,11 +125,11 @@ def solve(
         shapes=tuple(shapes.values()),
     )
     variances, state = _excess_variances(rows, None if start is None else np.array([start[kind] for kind in shapes]))
-    freedom = [_degrees(state.projector @ shape) for shape in rows.shapes]
+    freedom = [_degrees(shape.after(state.projector)[shape.rows]) for shape in rows.shapes]
     gains = state.gains / length[:, None]
     for (kind, shape), variance, nu in zip(shapes.items(), variances, freedom, strict=True):
         source = kind.partition(" ")[0]
-        parts[source] = parts.get(source, 0.0) + variance * student_factor(nu) * shape
+        parts[source] = shape.added(parts.get(source, np.zeros_like(rows.stated)), variance * student_factor(nu))
     budget = {name: carried(gains, share) for name, share in parts.items()}
     if prior is not None:
         covariance = state.covariance / np.outer(length, length)
@@ -220,15 +221,90 @@ def carried(gains: FloatArray, covariance: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Shape:
+    """A shape E_j, zero outside its own rows."""
+
+    rows: IntArray | slice  # (R,), or all
+    block: FloatArray  # (R, R), or its diagonal (R,)
+
+    @classmethod
+    def of(cls, shape: FloatArray) -> "_Shape":
+        used = shape if shape.ndim == 1 else shape.any(axis=1)
+        rows = np.flatnonzero(used)
+        if len(rows) == len(shape):
+            return cls(rows=slice(None), block=shape)
+        return cls(rows=rows, block=shape[rows] if shape.ndim == 1 else shape[np.ix_(rows, rows)])
+
+    def after(self, matrix: FloatArray) -> FloatArray:
+        """Return the product of a matrix (., E) and the shape, without the columns of zeros: (., R)."""
+        columns = matrix[:, self.rows]
+        return np.asarray(columns * self.block if self.block.ndim == 1 else columns @ self.block)
+
+    def trace(self, matrix: FloatArray) -> float:
+        """Return the trace of the product of a matrix (E, E) and the shape."""
+        square = matrix[self.rows][:, self.rows]
+        return float(np.diag(square) @ self.block if self.block.ndim == 1 else (square * self.block).sum())
+
+    def added(self, covariance: FloatArray, variance: float) -> FloatArray:
+        """Return a covariance (E, E) plus a variance times the shape."""
+        rows = np.arange(len(covariance))[self.rows]
+        total = covariance.copy()
+        if self.block.ndim == 1:
+            total[rows, rows] += variance * self.block
+        else:
+            total[np.ix_(rows, rows)] += variance * self.block
+        return total
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _State:
     theta: FloatArray  # (P,), of the scaled columns
-    covariance: FloatArray  # (P, P), C
-    gains: FloatArray  # (P, E), C X' V^-1
     residuals: FloatArray  # (E,)
-    weighted: FloatArray  # (E,), V^-1 r
-    inverse: FloatArray  # (E, E), V^-1
-    projector: FloatArray  # (E, E), P
     deviance: float  # -2 log of the restricted likelihood, up to a constant
+    factor: FloatArray  # (E, E), L
+    orthonormal: FloatArray  # (E, P), Q without the rows of the prior
+    inverse_triangle: FloatArray  # (P, P), T^-1
+    white_residuals: FloatArray  # (E,), L^-1 r
+
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """C, (P, P)."""
+        return np.asarray(self.inverse_triangle @ self.inverse_triangle.T)
+
+    @cached_property
+    def gains(self) -> FloatArray:
+        """C X' V^-1, (P, E)."""
+        return np.asarray(self.inverse_triangle @ self._weighted_design.T)
+
+    @cached_property
+    def weighted(self) -> FloatArray:
+        """V^-1 r, (E,)."""
+        return _solve_triangular(self.factor, self.white_residuals, transposed=True)
+
+    @cached_property
+    def inverse(self) -> FloatArray:
+        """V^-1, (E, E)."""
+        from scipy.linalg.lapack import dpotri
+
+        upper, _ = dpotri(self.factor.T, lower=0)
+        return np.asarray(np.triu(upper) + np.triu(upper, 1).T)
+
+    @cached_property
+    def projector(self) -> FloatArray:
+        """P = V^-1 - B B', (E, E)."""
+        return np.asarray(self.inverse - self._weighted_design @ self._weighted_design.T)
+
+    @cached_property
+    def _weighted_design(self) -> FloatArray:
+        """B = L'^-1 Q, (E, P)."""
+        return _solve_triangular(self.factor, self.orthonormal, transposed=True)
+
+
+def _solve_triangular(factor: FloatArray, value: FloatArray, *, transposed: bool = False) -> FloatArray:
+    """Return L^-1 y, or L'^-1 y, for a lower triangle L (E, E)."""
+    from scipy.linalg.lapack import dtrtrs
+
+    return np.asarray(dtrtrs(factor.T, value, lower=0, trans=not transposed)[0])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -238,40 +314,34 @@ class _GlsRows:
     prior: FloatArray  # (., P), R with R' R = K
     mean: FloatArray  # (P,), m
     stated: FloatArray  # (E, E), sum of S_i
-    shapes: tuple[FloatArray, ...]  # E_j
+    shapes: tuple[_Shape, ...]  # E_j
 
     def solve(self, variances: FloatArray) -> _State:
         """Return the solution for excess variances (J,), from V = L L' and the factorisation L^-1 X (with the prior) = Q T.
 
         Then C = T^-1 T'^-1, and P = V^-1 - B B' with B = L'^-1 Q. The condition of X is not squared.
         """
-        from scipy.linalg import solve_triangular
-
-        covariance = self.stated.copy()
+        covariance = self.stated
         for shape, variance in zip(self.shapes, variances, strict=True):
-            covariance += variance * shape
+            covariance = shape.added(covariance, variance) if variance else covariance
         # noise may be smaller than the rounding of a common source, so that the sum is singular
-        covariance[np.diag_indices_from(covariance)] *= 1.0 + ROUNDING
-        factor = np.linalg.cholesky(covariance)
-        white = solve_triangular(factor, np.eye(len(factor)), lower=True)
-        orthonormal, triangle = np.linalg.qr(np.vstack((white @ self.design, self.prior)))
+        factor = np.linalg.cholesky(covariance + np.diag(ROUNDING * np.diag(covariance)))
+        white = _solve_triangular(factor, np.column_stack((self.design, self.value)))
+        orthonormal, triangle = np.linalg.qr(np.vstack((white[:, :-1], self.prior)))
         pivots = np.abs(np.diag(triangle))
         if not pivots.min() > RANK_OF_ROWS * pivots.max():
             raise np.linalg.LinAlgError("rows and prior do not determine all parameters")
-        observations = np.concatenate((white @ self.value, self.prior @ self.mean))
+        observations = np.concatenate((white[:, -1], self.prior @ self.mean))
         inverse_triangle, projection = np.linalg.inv(triangle), orthonormal.T @ observations
         theta, remainder = inverse_triangle @ projection, observations - orthonormal @ projection
-        residuals, inverse = self.value - self.design @ theta, white.T @ white
-        weighted_design = white.T @ orthonormal[: len(white)]
         return _State(
             theta=theta,
-            covariance=inverse_triangle @ inverse_triangle.T,
-            gains=inverse_triangle @ weighted_design.T,
-            residuals=residuals,
-            weighted=inverse @ residuals,
-            inverse=inverse,
-            projector=inverse - weighted_design @ weighted_design.T,
+            residuals=self.value - self.design @ theta,
             deviance=2.0 * float(np.log(np.diag(factor)).sum() + np.log(pivots).sum()) + float(remainder @ remainder),
+            factor=factor,
+            orthonormal=orthonormal[: len(white)],
+            inverse_triangle=inverse_triangle,
+            white_residuals=remainder[: len(white)],
         )
 
 
@@ -290,7 +360,7 @@ def _excess_variances(rows: _GlsRows, first: FloatArray | None) -> tuple[FloatAr
     zero: FloatArray = np.zeros(len(rows.shapes))
     start = zero, rows.solve(zero)
     # a shape that the parameters absorb does not appear in the residuals, and its variance stays zero
-    shares = [((start[1].projector * shape).sum(), SHOWN * (start[1].inverse * shape).sum()) for shape in rows.shapes]
+    shares = [(shape.trace(start[1].projector), SHOWN * shape.trace(start[1].inverse)) for shape in rows.shapes]
     observable = np.array([k for k, (residual, least) in enumerate(shares) if residual > least], int)
     if first is not None:
         start = first, rows.solve(first)
@@ -304,12 +374,11 @@ def _climb(
     rows: _GlsRows, variances: FloatArray, state: _State, free: IntArray, steps: int
 ) -> tuple[FloatArray, _State]:
     """Improve the variances of the free shapes with at most ``steps`` steps of Fisher scoring. Return them and their solution."""
-    places = [np.flatnonzero(rows.shapes[k].any(axis=1)) for k in free]  # a shape is zero outside its own rows
-    shapes = [(place, rows.shapes[k][np.ix_(place, place)]) for k, place in zip(free, places, strict=True)]
+    shapes = [rows.shapes[k] for k in free]
     for _ in range(steps if shapes else 0):
-        products = [(place, state.projector[:, place] @ shape) for place, shape in shapes]
-        square = np.array([state.weighted[place] @ shape @ state.weighted[place] for place, shape in shapes])
-        score = square - [np.trace(product[place]) for place, product in products]
+        products = [(shape.rows, shape.after(state.projector)) for shape in shapes]
+        square = [shape.after(state.weighted[None])[0] @ state.weighted[shape.rows] for shape in shapes]
+        score = np.array(square) - [np.trace(product[place]) for place, product in products]
         information = np.array([[(a[q] * b[p].T).sum() for q, b in products] for p, a in products])
         step = np.zeros(len(variances))
         step[free] = _bounded_step(variances[free], score, information)

@@ -171,20 +171,23 @@ def saturated_runs(column: FloatArray) -> Iterator[tuple[float, IntArray]]:
 
 def _ends_range(column: FloatArray, limit: float, stuck: IntArray) -> bool:
     """Return True if a limit is far from the middle of the readings, or is large and no other values repeat."""
-    codes, change = np.unique(column[np.isfinite(column)]), np.abs(np.diff(column))
     away = np.abs(column - np.nanmedian(column))
     usual = np.nanmedian(away)
     if not usual > 0.0:
         return False
+    codes = np.unique(column[np.isfinite(column)])
     if codes[0] < 0.0 and abs(limit) < 0.1 * max(-codes[0], codes[-1]):
         return False  # ranges are symmetric about zero: this is the level at rest of a motion to one side
     fine = len(codes) > 10 * STUCK  # coarse codes repeat at an end as inside, but are not got to in a jump
+    far = away[stuck[0, 0]] > 10.0 * usual
+    if not (fine or far):
+        return False
+    change = np.abs(np.diff(column))
     jumped = bool((change[np.clip(stuck - 1, 0, len(change) - 1)] > 5.0 * change[change > 0.0].min()).any())
     begins = np.flatnonzero(np.diff(column, prepend=np.nan) != 0.0)
     inside = (column[begins] != codes[0]) & (column[begins] != codes[-1])
     alone = int(np.diff(np.append(begins, len(column)))[inside].max(initial=0)) < STUCK // 2
     large = abs(limit) > 0.5 * max(abs(codes[0]), abs(codes[-1]))  # no rest of a log without noise
-    far = away[stuck[0, 0]] > 10.0 * usual
     return bool((far and (fine or jumped)) or (large and alone and fine))
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import InputError
-from undrift.frames import quaternion_product
+from undrift.frames import cross, quaternion_product
 from undrift.record import FACES, Axis, Face
 from undrift.sim.bench_errors import IDEAL, BenchErrors, gain_of, level_of
 from undrift.sim.device.simulate import Streams, draw_streams
@@ -137,7 +137,7 @@ def _read_rate(table: BenchErrors, turn_rate: float, dwell_s: float, draw: np.ra
 
 def _off(axis_b: FloatArray, tilt: FloatArray) -> FloatArray:
     """Return a unit vector turned by a small random rotation, (3,)."""
-    off = axis_b + np.cross(tilt, axis_b)
+    off = axis_b + cross(tilt, axis_b)
     return np.asarray(off / np.linalg.norm(off))
 
 

@@ -32,7 +32,6 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Protocol
 
 import numpy as np
-from numpy.polynomial import Polynomial
 
 from undrift.arrays import FloatArray, Shape, freeze
 from undrift.frames import cross, quaternion_conjugate, quaternion_product, rotate
@@ -239,10 +238,43 @@ def mean_rate(time: FloatArray, q_nb: FloatArray, first: FloatArray) -> FloatArr
 
 # ---- Script: a bench motion written as a list of rotations about fixed axes, each with a polynomial angle.
 
-REST = Polynomial([0.0])
-SMOOTH = Polynomial([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])  # 0 to 1, first and second derivatives vanish at both ends
-RAMP = SMOOTH.integ()  # angle of a ramp, with a derivative from 0 to 1 and the final value 1/2
-UNEVEN = Polynomial.fromroots([0, 0, 0, 0.5, 1, 1, 1]) * 40.0  # unevenness of a hand turn, with 0 at both ends
+
+
+class Angle(Protocol):
+    """Angle of a turn over the local time s in [0, 1], rad."""
+
+    def at(self, s: FloatArray | float) -> FloatArray:
+        """Return the angle and its first and second derivative with respect to s: (...) -> (3, ...)."""
+
+
+class PolynomialAngle:
+    """A polynomial, lowest power first."""
+
+    def __init__(self, *coefficients: float) -> None:
+        self.coefficients = np.array(coefficients)
+
+    def times(self, factor: float) -> "PolynomialAngle":
+        """Return the polynomial times a factor."""
+        return PolynomialAngle(*(self.coefficients * factor))
+
+    def at(self, s: FloatArray | float) -> FloatArray:
+        """Return the angle and its first and second derivative with respect to s: (...) -> (3, ...)."""
+        coefficients, rows = self.coefficients, list[FloatArray]()
+        for _ in range(3):
+            value = 0.0 * s
+            for coefficient in coefficients[::-1]:
+                value = coefficient + value * s
+            rows.append(value)
+            coefficients = coefficients[1:] * np.arange(1, len(coefficients))
+        return np.stack(rows)
+
+
+REST = PolynomialAngle(0.0)
+SMOOTH = PolynomialAngle(0.0, 0.0, 0.0, 10.0, -15.0, 6.0)  # 0 to 1, first and second derivatives vanish at both ends
+RAMP_UP = PolynomialAngle(0.0, 0.0, 0.0, 0.0, 2.5, -3.0, 1.0)  # integral of SMOOTH: its final value is 1/2
+RAMP_DOWN = PolynomialAngle(0.0, 1.0, 0.0, 0.0, -2.5, 3.0, -1.0)  # s minus RAMP_UP
+# SMOOTH plus the unevenness 40 s^3 (s - 1/2) (s - 1)^3 of a hand
+HAND = PolynomialAngle(0.0, 0.0, 0.0, 30.0, -115.0, 186.0, -140.0, 40.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,27 +290,21 @@ class UnevenAngle:
     azimuth: float  # p, azimuth of the table at the start of the dwell against the ripple's zero, rad
     excess: float  # c, relative, at the start of the dwell
     settle_s: float  # T, s
-    order: int = 0  # order of the derivative with respect to s
 
-    def __call__(self, s: FloatArray) -> FloatArray:
-        """Return the angle, or the derivative, at s."""
-        w, late = self.turn_rate, np.exp(-np.asarray(s) * self.duration_s / self.settle_s)
-        angle_turned = w * self.duration_s * np.asarray(s)
+    def at(self, s: FloatArray | float) -> FloatArray:
+        """Return the angle and its first and second derivative with respect to s: (...) -> (3, ...)."""
+        w, late = self.turn_rate, np.exp(-s * self.duration_s / self.settle_s)
+        angle_turned = w * self.duration_s * s
         wave_at = self.azimuth + angle_turned
-        if self.order == 0:
-            ripple = self.ripple * (math.cos(self.azimuth) - np.cos(wave_at))
-            return np.asarray(angle_turned + ripple + w * self.excess * self.settle_s * (1.0 - late))
-        if self.order == 1:
-            return np.asarray(w * self.duration_s * (1.0 + self.ripple * np.sin(wave_at) + self.excess * late))
+        ripple = self.ripple * (math.cos(self.azimuth) - np.cos(wave_at))
         slope = self.ripple * w * np.cos(wave_at) - self.excess / self.settle_s * late
-        return np.asarray(w * self.duration_s**2 * slope)
-
-    def deriv(self, order: int) -> "UnevenAngle":
-        """Return the first or second derivative with respect to s."""
-        return replace(self, order=self.order + order)
-
-
-Angle = Polynomial | UnevenAngle  # over local time s in [0, 1], rad
+        return np.stack(
+            (
+                angle_turned + ripple + w * self.excess * self.settle_s * (1.0 - late),
+                w * self.duration_s * (1.0 + self.ripple * np.sin(wave_at) + self.excess * late),
+                w * self.duration_s**2 * slope,
+            )
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -289,7 +315,7 @@ class TurnSegment:
     stop: int  # Samples
     q: FloatArray  # (4,), orientation at its first instant
     axis_b: FloatArray  # (3,), unit vector
-    angle: Angle  # Angle over s in [0, 1), rad
+    angle: Angle
 
 
 class Script:
@@ -318,7 +344,7 @@ class Script:
         step = step if step[0] >= 0.0 else -step
         sine = float(np.linalg.norm(step[1:]))
         axis = step[1:] / sine if sine > 1e-12 else np.array([1.0, 0.0, 0.0])
-        self._turn(duration_s, axis, SMOOTH * (2.0 * np.arctan2(sine, step[0])))
+        self._turn(duration_s, axis, SMOOTH.times(2.0 * np.arctan2(sine, step[0])))
 
     def lay(self, q: FloatArray, duration_s: float) -> None:
         """Turn to an orientation, or begin there: q (4,)."""
@@ -329,7 +355,7 @@ class Script:
 
     def hand_turn(self, axis: Axis, angle: float, duration_s: float, axis_b: FloatArray) -> None:
         """Turn by hand through an angle, at a rate that is anything but constant: axis_b (3,)."""
-        start, stop = self._turn(duration_s, axis_b, (SMOOTH + UNEVEN) * angle)
+        start, stop = self._turn(duration_s, axis_b, HAND.times(angle))
         self.turns.append(Turn(start=start + 1, stop=stop + 1, axis=axis, angle=angle))
 
     def spin(
@@ -349,31 +375,27 @@ class Script:
         """
         unit = unit_vector(axis) if axis_b is None else axis_b
         ramp, dwell = self._whole(ramp_s), self._whole(dwell_s)
-        steady = Polynomial([0.0, turn_rate * dwell]) if uneven is None else UnevenAngle(turn_rate, dwell, *uneven)
-        self._turn(ramp_s, unit, RAMP * (turn_rate * ramp))
+        steady = UnevenAngle(turn_rate, dwell, *uneven) if uneven else PolynomialAngle(0.0, turn_rate * dwell)
+        self._turn(ramp_s, unit, RAMP_UP.times(turn_rate * ramp))
         start, stop = self._turn(dwell_s, unit, steady)
         label_rate = turn_rate if stated_rate is None else stated_rate
         self.turns.append(Turn(start=start + 1, stop=stop, axis=axis, turn_rate=label_rate))
-        self._turn(ramp_s, unit, (Polynomial([0.0, 1.0]) - RAMP) * (turn_rate * ramp))
+        self._turn(ramp_s, unit, RAMP_DOWN.times(turn_rate * ramp))
 
     def motion(self, gravity_m_s2: float, *, lever_arm_b: FloatArray, earth_rate_n: FloatArray) -> Motion:
         """Return the motion of the script, with lever_arm_b (3,), m, and earth_rate_n (3,), rad/s."""
-        n = self.samples
-        time = np.arange(n) / self.sample_rate_hz
-        q, rate, rotation_acceleration, moving = np.empty((n, 4)), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n)
-        for piece in self.pieces:
-            cut = slice(piece.start, piece.stop)
-            count = piece.stop - piece.start
-            if piece.angle is REST:
-                q[cut] = piece.q
-                continue
-            s, duration = np.arange(count) / count, count / self.sample_rate_hz
-            q[cut] = quaternion_product(piece.q, turn_quaternion(piece.axis_b, piece.angle(s)))
-            rate[cut] = np.outer(piece.angle.deriv(1)(s) / duration, piece.axis_b)
-            rotation_acceleration[cut] = np.outer(piece.angle.deriv(2)(s) / duration**2, piece.axis_b)
-            moving[cut] = 1.0
+        counts = [piece.stop - piece.start for piece in self.pieces]
+        time, duration = np.arange(self.samples) / self.sample_rate_hz, np.repeat(counts, counts) / self.sample_rate_hz
+        local = [np.arange(count) / count for count in counts]
+        angle, first, second = np.hstack([piece.angle.at(s) for piece, s in zip(self.pieces, local, strict=True)])
+        axis_b = np.repeat([piece.axis_b for piece in self.pieces], counts, axis=0)
+        q = quaternion_product(
+            np.repeat([piece.q for piece in self.pieces], counts, axis=0), turn_quaternion(axis_b, angle)
+        )
+        rate = (first / duration)[:, None] * axis_b
+        rotation_acceleration = (second / duration**2)[:, None] * axis_b
         inverse = quaternion_conjugate(q)
-        earth_b = rotate(inverse, np.broadcast_to(earth_rate_n, (n, 3)))
+        earth_b = rotate(inverse, np.broadcast_to(earth_rate_n, rate.shape))
         swing = cross(rotation_acceleration, lever_arm_b) + cross(rate, cross(rate, lever_arm_b))
         return Motion(
             time=time,
@@ -381,11 +403,11 @@ class Script:
             rate_b=rate + earth_b,
             mean_rate_b=mean_rate(time, q, rate[0]) + earth_b,
             angular_acceleration_b=rotation_acceleration - cross(rate, earth_b),
-            force_b=rotate(inverse, np.broadcast_to([0.0, 0.0, gravity_m_s2], (n, 3))) + swing,
+            force_b=rotate(inverse, np.broadcast_to([0.0, 0.0, gravity_m_s2], rate.shape)) + swing,
             gravity_m_s2=gravity_m_s2,
             stills=tuple(self.stills),
             turns=tuple(self.turns),
-            moving=moving,
+            moving=np.repeat([float(piece.angle is not REST) for piece in self.pieces], counts),
         )
 
     def _turn(self, duration_s: float, axis_b: FloatArray, angle: Angle) -> tuple[int, int]:
@@ -393,7 +415,7 @@ class Script:
         stop = start + round(duration_s * self.sample_rate_hz)
         self.pieces.append(TurnSegment(start, stop, self.q, axis_b, angle))
         if angle is not REST:
-            self.q = quaternion_product(self.q, turn_quaternion(axis_b, np.asarray(angle(np.array(1.0)))))
+            self.q = quaternion_product(self.q, turn_quaternion(axis_b, angle.at(1.0)[0]))
             self.q = self.q / np.linalg.norm(self.q)
         return start, stop
 
