@@ -286,8 +286,10 @@ class _State:
         """V^-1, (E, E)."""
         from scipy.linalg.lapack import dpotri
 
-        upper, _ = dpotri(self.factor.T, lower=0)
-        return np.asarray(np.triu(upper) + np.triu(upper, 1).T)
+        upper, _ = dpotri(self.factor.T, lower=0)  # with zeros below its diagonal
+        inverse = np.asarray(upper + upper.T)
+        inverse[np.diag_indices_from(inverse)] *= 0.5
+        return inverse
 
     @cached_property
     def projector(self) -> FloatArray:

@@ -239,7 +239,6 @@ def mean_rate(time: FloatArray, q_nb: FloatArray, first: FloatArray) -> FloatArr
 # ---- Script: a bench motion written as a list of rotations about fixed axes, each with a polynomial angle.
 
 
-
 class Angle(Protocol):
     """Angle of a turn over the local time s in [0, 1], rad."""
 
@@ -261,7 +260,7 @@ class PolynomialAngle:
         """Return the angle and its first and second derivative with respect to s: (...) -> (3, ...)."""
         coefficients, rows = self.coefficients, list[FloatArray]()
         for _ in range(3):
-            value = 0.0 * s
+            value = 0.0 * np.asarray(s)
             for coefficient in coefficients[::-1]:
                 value = coefficient + value * s
             rows.append(value)
