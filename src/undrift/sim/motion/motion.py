@@ -28,7 +28,7 @@ label omits its first sample, whose mean rate belongs to the previous piece. The
 """
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Annotated, Any, Protocol
 
 import numpy as np
