@@ -2,7 +2,6 @@
 
 import json
 import shlex
-from html import unescape
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ from testkit.command_line import beyond_the_table, contents
 from testkit.data import DATA, data_path
 from testkit.host import stamp_on_host
 from undrift.base.codec import tree_of
-from undrift.base.summary import plain
 from undrift.findings import finding
 from undrift.io.formats import read_record, write_record
 from undrift.model import Verdict
@@ -227,22 +225,3 @@ def test_a_session_is_read_on_its_regular_clock(undrift, tmp_path):
     assert any("stamps are the host's" in problem for problem in plain["problems"])
     assert not any("stamps are the host's" in problem for problem in fitted["problems"])
     assert fitted["usual_rate_hz"] == pytest.approx(100.0, rel=1e-3)
-
-
-def test_python_gets_what_the_command_line_shows(undrift, bench):
-    import undrift as library
-
-    told = undrift.good("info", bench / "trial.parquet", "--json").json()["result"]
-    found = library.info(str(bench / "trial.parquet"))
-    assert json.loads(json.dumps(plain(found.data)))["stills"] == told["stills"]
-    assert repr(found) == f"<Summary: What trial holds: {bench / 'trial.parquet'}: recording (parquet)>"
-    shown = undrift.good("info", bench / "trial.parquet").out.splitlines()
-    assert [
-        line for line in shown[1:] if line.startswith("  ") and line.strip() not in unescape(found._repr_html_())
-    ] == []
-    corrected = library.commands.correct(
-        bench / "trial.parquet", calibration=bench / "calibration.json", output=str(bench / "again.parquet")
-    )
-    (bench / "again.parquet").unlink()
-    assert (corrected.files[0].output, "\n" in repr(corrected)) == (bench / "again.parquet", False)
-    assert "Recordings" in corrected._repr_html_()

@@ -239,7 +239,7 @@ def test_correct_orient_and_validate_subtract_the_rate_of_the_same_first_rest(un
     write_reference(reference, tmp_path / "ref.parquet")
     write_calibration(calibration, tmp_path / "c.json")
     words = (tmp_path / "r.parquet", "--calibration", tmp_path / "c.json", "--offset", offset, "--json")
-    corrected = undrift.good("correct", *words, "-o", tmp_path / "c.parquet").json()["recordings"][0]["rest"]
+    corrected = undrift.good("correct", *words, "-o", tmp_path / "c.parquet").data()["rest"]
     oriented = undrift.good("orient", *words, "-o", tmp_path / "o.csv").data()
     judged = undrift.good("validate", *words, "--reference", tmp_path / "ref.parquet").data()["trials"][0]["rest"]
     assert corrected == judged

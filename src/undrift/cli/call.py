@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 MOVED = {
     "orient": "orient:orient",
     "validate": "validate:validate",
+    "correct": "correct:correct",
     "simulate": "simulate:simulate",
     "study": "study:study",
 }  # the module and the function of each command
