@@ -128,7 +128,7 @@ def test_the_usage_line_names_what_is_required(undrift, name):
     for option in required:
         assert option in usage
     if name in ("correct", "validate", "twin", "drift"):
-        assert usage.endswith("S...")
+        assert usage.endswith("...")
 
 
 def test_progress_is_a_line_now_and_then_where_stderr_is_no_terminal(monkeypatch, capsys):
