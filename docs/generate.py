@@ -1,4 +1,4 @@
-"""Pages that are made from the code: commands, findings, keys of files, presets, names of the API, and the pictures.
+"""Pages that are made from the code: commands, keys of files, presets, names of the API, and the pictures.
 
 conf.py calls `write_all` at each build. A page is written only where its text has changed, so that a second build is quick.
 `python docs/generate.py FOLDER` draws the pictures; those in docs/pictures are part of the repository, so that the pages read there as
@@ -11,7 +11,6 @@ import io
 import json
 import re
 import runpy
-import string
 import sys
 import tokenize
 from pathlib import Path
@@ -27,7 +26,7 @@ def write_all(folder: Path) -> None:
     """Write every generated page."""
     folder.mkdir(exist_ok=True)
     pages = {"presets.md": presets(), **commands()}
-    for name, text in (("findings", findings()), ("keys", keys()), ("api", api())):
+    for name, text in (("keys", keys()), ("api", api())):
         pages |= in_pages(name, text)
     pages["comparison.md"] = comparison()
     for name, text in pages.items():
@@ -153,51 +152,6 @@ def commands() -> dict[str, str]:
 def _no_list_of_commands(text: str, group: bool) -> str:
     """Leave the list of subcommands out, whose links name other headings; the page's contents show them."""
     return re.sub(r"^\*\*Commands\*\*:\n\n(\* .*\n)+", "", text, flags=re.M) if group else text
-
-
-# ---- findings
-
-
-def findings() -> str:
-    """Return every finding with its sentences, by stage and rank."""
-    from undrift.findings import catalogue
-
-    ranks = {
-        1: "numbers may be wrong",
-        2: "uncertainty is larger or incomplete",
-        3: "not observable",
-        4: "for the record",
-    }
-    stages: dict[str, list[str]] = {}
-    for code, entry in catalogue().items():
-        detail, action = _said(entry.detail), _said(entry.action)
-        headline = _said(entry.headline, "⟨", "⟩")
-        row = f"- **{headline}** `{code}`, {ranks[entry.rank]}"
-        row += f"\\\n  {detail}" if detail else ""
-        row += f"\\\n  → {action}" if action else ""
-        stages.setdefault(code.split(".")[0], []).append(row)
-    parts = [f"## {stage}\n\n" + "\n".join(rows) for stage, rows in stages.items()]
-    count = len(catalogue())
-    return (
-        f"# All findings\n\nThe {count} findings that undrift can make. A word in *italics* or ⟨brackets⟩ is filled in by the "
-        "fit. [Reading a verdict](../verdict.md) says how to use them.\n\n" + "\n\n".join(parts) + "\n"
-    )
-
-
-def _said(template: str, before: str = "*", after: str = "*") -> str:
-    """Return a template as text: its fields in italics, or in brackets, without their formats."""
-    parts = []
-    for text, field, _, _ in string.Formatter().parse(template):
-        parts.append(
-            text.replace("|", "\\|")
-            .replace("*", "\\*")
-            .replace("_", "\\_")
-            .replace("<", "&lt;")
-            .replace("[[", "\\[\\[")
-        )
-        if field is not None:
-            parts.append(f"{before}{field.split('[')[0].replace('_', ' ')}{after}")
-    return "".join(parts)
 
 
 # ---- keys of files

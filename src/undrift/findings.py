@@ -1,56 +1,103 @@
-"""Findings: the remarks of a fit, each a code with numbers. All sentences are in ``findings.toml``.
+"""Findings: the remarks of a fit, written where they are raised. Each has a code, a level, a sentence, an action and numbers.
 
-A fit returns ``finding("six_face.tilt", "warn", tilt_deg=0.6)``. Its text has three parts: a headline, one line of detail,
-and one action. A verdict shows the most consequential findings first: by level (fail, warn, info), then by the rank of the code::
+::
 
-    1  numbers may be wrong             2  the uncertainty is larger, or incomplete
-    3  a parameter was not observable   4  a note on the procedure, for the record
+    finding(
+        "six_face.tilt",
+        "warn",
+        f"The faces are tilted by {tilt_deg:.2f} deg (1 sigma).",
+        "Align the fixture, or rest in nine or more free poses.",
+        tilt_deg=tilt_deg,
+    )
 
-Templates are ``str.format`` strings over the finding's values. A tuple prints element by element: (0.1, 0.2) as "0.1, 0.2".
-``{span_k:.1f|{limit_k}}`` adds digits until the number differs visibly from its limit: 2.04 K next to 2 K, not 2.0 K.
+The sentence says what was found, with number, unit and limit. The action is one instruction, or "" if there is nothing to do.
+Values are the numbers that programs read.
 """
 
 import math
-import string
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cache
-from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 from undrift.base.codec import Key, stored
 from undrift.base.spoken import spoken_template
-from undrift.errors import InputError
 
 Level = Literal["info", "warn", "fail"]
 Status = Literal["good", "marginal", "bad"]
 Value = float | int | str | bool | tuple[float, ...] | tuple[str, ...]
 
-_SENTENCES = Path(__file__).with_name("findings.toml")
 SHOWN_FIRST = 3  # findings that a person sees without asking for details
 _LEVELS = ("fail", "warn", "info")
 
 
-class FindingText(NamedTuple):
-    """Headline, detail and action of one code."""
+def _read_finding(keys: dict[str, Any]) -> "Finding":
+    """Return a finding of a file. A null in its values is NaN."""
+    values = {name: math.nan if value is None else value for name, value in keys["values"].items()}
+    return finding(keys["code"], keys["level"], keys["sentence"], keys["action"], **values)
 
-    rank: int  # 1 to 4, see the module
-    headline: str
-    detail: str = ""
+
+@stored(whole=True, keys=("code", "level", "values", "sentence", "action"), read=_read_finding)
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """Remark of a fit.
+
+    Parameters
+    ----------
+    code : str
+        Stage and subject, "six_face.tilt".
+    level : str
+        info, warn or fail.
+    sentence : str
+        What was found, with number, unit and limit. In files this is the key ``text``.
+    action : str
+        What to do, or "".
+    values : mapping
+        Numbers for programs. A unit that is not SI is part of the key ("tilt_deg").
+
+    Examples
+    --------
+    >>> import numpy as np, undrift
+    >>> rng = np.random.default_rng(7)
+    >>> device = undrift.random_device(rng)
+    >>> calibration = undrift.calibrate(undrift.simulate_session("six_face", device, rng=rng))
+    >>> finding = calibration.verdict.findings[0]
+    >>> finding.code, finding.level, finding.sentence
+    ('session.not_observable', 'info', 'The session does not determine the gyroscope.')
+    """
+
+    code: str
+    level: Level
+    sentence: Annotated[str, Key("text")]
     action: str = ""
+    values: Annotated[Mapping[str, Value], Key(form=dict[str, Any])] = field(default_factory=dict)
+
+    @property
+    def text(self) -> str:
+        """Sentence and action. A command line shows back-ticked arguments as its options."""
+        return spoken_template(f"{self.sentence} {self.action}".rstrip())
 
 
-class _Template(string.Formatter):
-    """``str.format`` that prints tuples element by element, and adds digits to a number close to its limit."""
+def finding(code: str, level: Level, sentence: str, action: str = "", /, **values: Any) -> Finding:
+    """Return a finding. Arrays become tuples, and numpy scalars become numbers."""
+    return Finding(code, level, sentence, action, {name: _plain(value) for name, value in values.items()})
 
-    def format_field(self, value: Any, format_spec: str) -> str:
-        if isinstance(value, tuple):
-            return ", ".join(self.format_field(item, format_spec) for item in value)
-        form, _, limit = format_spec.partition("|")
-        if limit and not isinstance(value, str):
-            return told_apart(value, form, float(limit))
-        return str(super().format_field(value, "" if isinstance(value, str) else form))
+
+def _plain(value: Any) -> Value:
+    value = value.tolist() if hasattr(value, "tolist") else value
+    return tuple(_plain(item) for item in value) if isinstance(value, list | tuple) else value  # type: ignore[return-value]
+
+
+def level_of(value: float, limits: tuple[float, float]) -> Level:
+    """Return fail above the second of two limits, warn above the first, and info otherwise."""
+    return "fail" if value > limits[1] else "warn" if value > limits[0] else "info"
+
+
+def above(
+    code: str, value: float, limits: tuple[float, float], sentence: str, action: str, /, **values: Any
+) -> tuple[Finding, ...]:
+    """Return a finding if a value exceeds the first of two limits. Otherwise the tuple is empty."""
+    level = level_of(value, limits)
+    return () if level == "info" else (finding(code, level, sentence, action, **values),)
 
 
 def told_apart(value: float, form: str, limit: float) -> str:
@@ -64,94 +111,10 @@ def told_apart(value: float, form: str, limit: float) -> str:
     return text
 
 
-_TEMPLATE = _Template()
-
-
-def _read_finding(keys: dict[str, Any]) -> "Finding":
-    """Return a finding of a file from its code and values."""
-    result = finding(keys["code"], keys["level"], **_filled(keys["values"]))
-    try:
-        _ = result.text
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"findings: {keys['code']} is not a finding of undrift, or lacks a value ({error})") from error
-    return result
-
-
-def _filled(value: Any) -> Any:
-    """Return values of a file with NaN for null."""
-    if isinstance(value, dict | list):
-        return {k: _filled(v) for k, v in value.items()} if isinstance(value, dict) else [_filled(v) for v in value]
-    return math.nan if value is None else value
-
-
-@stored(whole=True, keys=("code", "level", "values", "text", "action"), read=_read_finding)
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """Remark of a fit: a code, its level and its numbers.
-
-    Parameters
-    ----------
-    code : str
-        Stage and subject, "six_face.tilt".
-    level : str
-        info, warn or fail.
-    values : mapping
-        Numbers and names that the sentences need. A unit that is not SI is part of the key ("tilt_deg").
-
-    Examples
-    --------
-    >>> import numpy as np, undrift
-    >>> rng = np.random.default_rng(7)
-    >>> device = undrift.random_device(rng)
-    >>> calibration = undrift.calibrate(undrift.simulate_session("six_face", device, rng=rng))
-    >>> finding = calibration.verdict.findings[0]
-    >>> finding.code, finding.level, finding.headline
-    ('session.not_observable', 'info', 'Gyroscope not observable')
-    """
-
-    code: str
-    level: Level
-    values: Annotated[Mapping[str, Value], Key(form=dict[str, Any])] = field(default_factory=dict)
-
-    @property
-    def headline(self) -> str:
-        """Subject of the finding in a few words."""
-        return self._filled(catalogue()[self.code].headline)
-
-    @property
-    def detail(self) -> str:
-        """One line with the numbers. It may be empty."""
-        return self._filled(catalogue()[self.code].detail)
-
-    @property
-    def action(self) -> str:
-        """Recommended action. It may be empty."""
-        return self._filled(catalogue()[self.code].action)
-
-    @property
-    def text(self) -> str:
-        """Headline, detail and action in one line."""
-        head = ": ".join(sentence for sentence in (self.headline, self.detail) if sentence)
-        return "; ".join(sentence for sentence in (head, self.action) if sentence)
-
-    def _filled(self, template: str) -> str:
-        return _TEMPLATE.vformat(spoken_template(template), (), self.values)
-
-
-def finding(code: str, level: Level, /, **values: Any) -> Finding:
-    """Return a finding. Arrays become tuples, and numpy scalars become numbers."""
-    return Finding(code, level, {name: _plain(value) for name, value in values.items()})
-
-
-def _plain(value: Any) -> Value:
-    value = value.tolist() if hasattr(value, "tolist") else value
-    return tuple(_plain(item) for item in value) if isinstance(value, list | tuple) else value  # type: ignore[return-value]
-
-
 def most_consequential_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Return findings by level and rank, each text once."""
+    """Return findings by level: fail, warn, info. Each text appears once."""
     once = {item.text: item for item in findings}.values()
-    return tuple(sorted(once, key=lambda item: (_LEVELS.index(item.level), catalogue()[item.code].rank)))
+    return tuple(sorted(once, key=lambda item: _LEVELS.index(item.level)))
 
 
 @stored(whole=True, keys=("status", "reasons", "findings"))
@@ -196,20 +159,3 @@ class Verdict:
         texts = {item.text for item in self.findings}
         new_findings = (item for item in other.findings if item.text not in texts)
         return Verdict(status=worse, findings=(*self.findings, *new_findings))
-
-
-def level_of(value: float, limits: tuple[float, float]) -> Level:
-    """Return fail above the second of two limits, warn above the first, and info otherwise."""
-    return "fail" if value > limits[1] else "warn" if value > limits[0] else "info"
-
-
-def above(code: str, value: float, limits: tuple[float, float], **shown: Any) -> tuple[Finding, ...]:
-    """Return a finding if a value exceeds the first of two limits, passed on as ``wanted``. Otherwise the tuple is empty."""
-    level = level_of(value, limits)
-    return () if level == "info" else (finding(code, level, wanted=limits[0], **shown),)
-
-
-@cache
-def catalogue() -> dict[str, FindingText]:
-    """Return the sentences of all codes."""
-    return {code: FindingText(**entry) for code, entry in tomllib.loads(_SENTENCES.read_text(encoding="utf-8")).items()}

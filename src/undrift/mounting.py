@@ -20,7 +20,7 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray, runs
 from undrift.calibration.triads import check_triads
 from undrift.errors import Implausible, InputError
-from undrift.findings import Verdict, finding
+from undrift.findings import Verdict, finding, told_apart
 from undrift.frames import integrate_strapdown, quaternion_conjugate, rotate
 from undrift.model import AXES, BodyMounting
 from undrift.orientation import check_whole, filtered, initial_tilt, shortest_rotation_up
@@ -72,6 +72,13 @@ class _Track:
     walk: BoolArray  # (N,), straight
 
 
+RECORD_AGAIN = (
+    "Stand upright and still for 3 s, walk straight for 8 s and halt, four times, or bow twice or more (`movement`). Check "
+    "that the "
+    "device does not slip."
+)
+
+
 def find_mounting(records: Sequence[Record], place: Worn, movement: Movement = "walk") -> MountFit:
     """Determine the mounting of a device from recordings without a change of mounting."""
     if movement == "bow" and place != "lower-back":
@@ -96,14 +103,21 @@ def find_mounting(records: Sequence[Record], place: Worn, movement: Movement = "
     )
     # a wrong sign of the accelerometers has no other effect
     ahead, upward = (f"{'+-'[int(side[k] < 0.0)]}{AXES[k]}" for side in (forward, up) for k in [np.abs(side).argmax()])
-    why = "if they do not, accelerometer columns are exchanged or have the opposite sign, which a walk cannot determine"
-    look = finding("mount.look", "info", what=f"its side {ahead} points forward, its side {upward} up", why=why)
-    uncertain = finding("mount.uncertain", "warn", degrees=worn.uncertainty / DEG, limit=WARN / DEG)
+    look = finding(
+        "mount.look",
+        "info",
+        f"Side {ahead} of the device points forward and side {upward} up.",
+        "Look at the device: if they do not, accelerometer columns are exchanged or have the opposite sign.",
+    )
+    size = told_apart(worn.uncertainty / DEG, ".1f", WARN / DEG)
+    uncertain = finding(
+        "mount.uncertain", "warn", f"The mounting is uncertain by {size} deg (limit {WARN / DEG:g} deg).", RECORD_AGAIN
+    )
     return MountFit(mounting=worn, verdict=Verdict.of(look, *((uncertain,) if worn.uncertainty > WARN else ())))
 
 
 def _undetermined(direction: str, why: str) -> MountFit:
-    missing = finding("mount.not_determined", "fail", direction=direction, why=why)
+    missing = finding("mount.not_determined", "fail", f"{direction} is not determined: {why}.", RECORD_AGAIN)
     return MountFit(mounting=None, verdict=Verdict.of(missing))
 
 

@@ -26,7 +26,7 @@ relative to magnetic east with a magnetometer (9D).
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 
@@ -211,9 +211,20 @@ def check_pitch_axes(q_nb: FloatArray, rest: slice | BoolArray | None, forward: 
         return ()
     k, leans = int(np.abs(mean).argmax()), np.nanstd(vertical, axis=0)
     axis = max((axis for axis in AXES if axis != AXES[k]), key=lambda axis: leans[AXES.index(axis)])
-    values: dict[str, Any] = {"stated": f"forward {forward} and up {up}", "off_deg": off_deg}
-    values |= {"up": FACES[2 * k + int(mean[k] < 0.0)], "forward": axis}
-    return (finding("orient.pitch_axes", "warn", where="on average" if rest is None else "at rest", **values),)
+    upward, when = FACES[2 * k + int(mean[k] < 0.0)], "on average" if rest is None else "at rest"
+    return (
+        finding(
+            "orient.pitch_axes",
+            "warn",
+            f"Pitch from forward {forward} and up {up} does not match an upright segment: {when} the axis for up is "
+            f"{off_deg:.0f} deg "
+            "from the vertical.",
+            f"Use {upward} for `up`, and +{axis} or -{axis} for `forward`, so that the pitch is positive when the segment "
+            "leans forward.",
+            up=upward,
+            forward=axis,
+        ),
+    )
 
 
 # ---- A whole record
@@ -271,8 +282,8 @@ class Orientation(Shown):
             name: f"{np.nanmin(angle) / RADIAN_PER_DEGREE:.1f} to {np.nanmax(angle) / RADIAN_PER_DEGREE:.1f} deg"
             for name, angle in angles
         }
-        drift = {item.headline: item.detail for item in self.findings}
-        return {"samples": str(len(self.time))} | spans | {"tilt": self.tilt.statement} | drift
+        findings = {item.code: item.sentence for item in self.findings}
+        return {"samples": str(len(self.time))} | spans | {"tilt": self.tilt.statement} | findings
 
     @property
     def rotation(self) -> "Rotation":
@@ -448,22 +459,36 @@ def _check_rest(record: Record, still: Still) -> tuple[Finding, ...]:
     tilt = float(np.arctan2(np.linalg.norm(np.cross(first, last)), first @ last))
     if spread <= MOVING_RATE and tilt <= TURNED:
         return ()
-    how = f"its rates vary by {spread / RADIAN_PER_DEGREE:.3g} deg/s rms, gravity turns by {tilt / RADIAN_PER_DEGREE:.2g} deg"
-    span = {"start_s": float(record.time[still.start]), "stop_s": float(record.time[still.stop - 1])}
-    return (finding("orient.rest_turns", "warn", how=how, **span),)
+    start_s, stop_s = record.time[still.start], record.time[still.stop - 1]
+    return (
+        finding(
+            "orient.rest_turns",
+            "warn",
+            f"The device is not at rest from {start_s:.6g} to {stop_s:.6g} s: its rates vary by "
+            f"{spread / RADIAN_PER_DEGREE:.3g} deg/s rms, "
+            f"and gravity turns by {tilt / RADIAN_PER_DEGREE:.2g} deg.",
+            "Name a stretch in which the device is at rest, or record a rest.",
+        ),
+    )
 
 
 def _expected_drift(record: Record, anchor: int, uncertainty: float, *, rested: bool) -> Finding:
     """Return a finding with the expected error of strapdown at the end farther from the rest, or from the first sample."""
     time = record.time
     duration = max(float(time[-1] - time[anchor]), float(time[anchor] - time[0]))
+    drift_deg, offset_dps = uncertainty * duration / RADIAN_PER_DEGREE, uncertainty / RADIAN_PER_DEGREE
+    start = "the rest" if rested else "the first sample"
     return finding(
         "orient.drift",
         "warn" if uncertainty * duration > WARN_DRIFT else "info",
-        drift_deg=uncertainty * duration / RADIAN_PER_DEGREE,
-        offset_dps=uncertainty / RADIAN_PER_DEGREE,
+        f"Expect a strapdown drift of {drift_deg:.2g} deg: the offset is uncertain by {offset_dps:.2g} deg/s, over "
+        f"{duration:.0f} s "
+        f"from {start} to the far end.",
+        "Subtract the offset (`offset` rest or motion), or use the filter (`method` vqf).",
+        drift_deg=drift_deg,
+        offset_dps=offset_dps,
         duration_s=duration,
-        start="the rest" if rested else "the first sample",
+        start=start,
     )
 
 
@@ -491,8 +516,20 @@ def filtered(
     q, disturbed = filtered_attitude(record.time, gyro, record.accel, mag_ut, offset_sigma=uncertainty)
     if not magnetometer:
         return q, ()
-    north = finding("orient.north", "info", percent=100.0 * disturbed)
-    return q, (north, finding("orient.field", "warn")) if record.state == "raw" else (north,)
+    sentence = "Heading is relative to magnetic east: x of the level frame points there, and y to magnetic north."
+    sentence += f" The field was disturbed for {100.0 * disturbed:.2g} % of the time."
+    north = finding("orient.north", "info", sentence)
+    return q, (north, magnetometer_not_calibrated()) if record.state == "raw" else (north,)
+
+
+def magnetometer_not_calibrated() -> Finding:
+    """Return the finding that readings of the magnetometer contain hard and soft iron."""
+    return finding(
+        "orient.field",
+        "warn",
+        "The magnetometer is not calibrated: hard iron of 1 uT turns the heading by up to 3 deg.",
+        "Calibrate the device from motion with `magnetometer`.",
+    )
 
 
 def _level_at(q_nb: FloatArray, anchor: int, wanted: FloatArray) -> FloatArray:

@@ -404,13 +404,21 @@ def in_step(
         record = replace(record, time=record.time - line.skew * (record.time - line.lag_s - line.middle_s))
         lag = find_lag(record, poses, longest_lag_s)
     lost_s = float(np.ptp(line.off_s))
-    return record, lag, [finding("sync.out_of_step", "warn", most_ms=1e3 * lost_s)] if lost_s > OUT_OF_STEP_S else []
+    out_of_step = finding(
+        "sync.out_of_step",
+        "warn",
+        f"Recording and reference are out of step: their lag changes by {1e3 * lost_s:.0f} ms, not in proportion to "
+        "time. Samples were lost, or the two do not belong together.",
+        "Check both files for lost samples, or judge each part by itself.",
+    )
+    return record, lag, [out_of_step] if lost_s > OUT_OF_STEP_S else []
 
 
 def padding(full_record: Record, record: Record) -> tuple[Finding, ...]:
     """Return a finding about rows that ``segments.unpadded`` removed from a record."""
     padded_s = full_record.duration_s - record.duration_s
-    return (finding("recording.padded", "info", padded_s=padded_s),) if len(record) < len(full_record) else ()
+    sentence = f"{padded_s:.2f} s at the ends of the recording repeat a reading and were not used."
+    return (finding("recording.padded", "info", sentence),) if len(record) < len(full_record) else ()
 
 
 def seen_poses(record: Record, poses: Reference, lag: Lag) -> Reference:

@@ -36,7 +36,7 @@ def test_one_axis_is_calibrated_and_a_scale_that_cannot_be_the_stated_one_is_a_b
     np.testing.assert_allclose(made.gyro.forward_matrix[[0, 2], [0, 2]] * np.pi / 180.0, 1.0, atol=1e-9)
     if sensor == "lsm":
         off = only(made.verdict.findings, "gyro.scale_factor")
-        assert (off.level, "gyroscope y" in off.detail) == ("fail", True)
+        assert (off.level, "Gyroscope y" in off.sentence) == ("fail", True)
         assert -15.5 < off.values["off_percent"] < -14.0
 
 

@@ -390,7 +390,7 @@ def test_moves_between_rests_show_the_matrix_that_turns_by_hand_show_to_a_percen
 def test_an_angle_beyond_its_uncertainty_is_named_by_the_moves():
     rng = np.random.default_rng(17)
     fit = gyro_by_hand(plain(random_device(rng)), rng, angle_uncertainty_deg=0.05, axis_uncertainty_deg=0.02)
-    assert "differ by" in only(fit.verdict.findings, "known_rotation.moves_disagree").detail
+    assert "differ by" in only(fit.verdict.findings, "known_rotation.moves_disagree").sentence
     assert fit.verdict.status == "marginal"
 
 

@@ -89,7 +89,7 @@ def test_poses_in_one_plane_are_refused_with_the_poses_that_would_help() -> None
     n[:, 1] = 0.0
     n /= np.linalg.norm(n, axis=1)[:, None]
     raw = readings(n) + np.random.default_rng(0).normal(size=n.shape)
-    with pytest.raises(NotObservable, match="offset of y: all poses lie near one plane") as caught:
+    with pytest.raises(NotObservable, match=r"offset of y[.] All poses lie") as caught:
         fit_poses(raw, gravity=G, standard_errors=np.ones(n.shape))
     assert "scale of y" in str(caught.value)
     assert {"m_yy", "offset_y"} <= set(caught.value.parameters)
@@ -98,7 +98,7 @@ def test_poses_in_one_plane_are_refused_with_the_poses_that_would_help() -> None
 def test_faces_alone_leave_the_cross_axis_terms_unseen() -> None:
     n = np.vstack([np.eye(3), -np.eye(3)] * 2)
     raw = readings(n) + np.random.default_rng(0).normal(size=n.shape)
-    with pytest.raises(NotObservable, match=r"for cross-axis terms? x[yz].*add poses between the faces"):
+    with pytest.raises(NotObservable, match=r"for cross-axis terms? x[yz].*Add poses between"):
         fit_poses(raw, gravity=G, standard_errors=np.ones(n.shape))
 
 
@@ -134,7 +134,6 @@ def test_poses_that_moved_get_a_bad_verdict_with_the_figure() -> None:
     moved = only(fit.verdict.findings, "multi_position.residual")
     assert moved.level == "fail"
     assert moved.values["rms"] == pytest.approx(fit.model.rms_residual / 9.80665e-3)
-    assert moved.values["wanted"] == 3.0
     assert fit.verdict.reasons[0] == moved.text
 
 

@@ -159,7 +159,7 @@ def test_a_gyroscope_s_scale_is_judged_by_what_data_sheets_allow(scale, level):
     assert [item.level for item in found] == level
     if level == ["fail"]:
         assert found[0].values["off_percent"] == pytest.approx(-14.7)
-        assert "gyroscope y" in found[0].detail
+        assert "Gyroscope y" in found[0].sentence
 
 
 def test_counts_are_judged_by_the_range_that_16_bit_would_have():

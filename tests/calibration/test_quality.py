@@ -73,7 +73,7 @@ def test_stills_that_creep_a_little_are_a_finding_and_make_the_verdict_marginal(
     assert found.verdict.status == "marginal"
     sway = only(found.verdict.findings, "session.piece")
     assert sway.values["pieces"] == 6
-    size = float(re.search(r"sway by ([\d.]+) m/s2", str(sway.values["what"])).group(1))
+    size = float(re.search(r"sway by ([\d.]+) m/s2", sway.sentence).group(1))
     assert size == pytest.approx(9.81 * np.radians(1.5) / np.sqrt(12.0), rel=0.05)
 
 
@@ -163,7 +163,7 @@ def test_a_dwell_that_overlaps_a_stop_is_named_with_the_share() -> None:
     session = shifted(made("bench"), 90, which=70)  # 0.9 s late: the table brakes and stands still at its end
     stop = only(check_turns(session, session.stills, 0.3), "session.piece")
     assert stop.level == "fail"
-    assert "overlaps a stop" in stop.detail
+    assert "overlaps a stop" in stop.sentence
     assert str(stop.values["piece"]).startswith("[[turn]] 71 (recording 0, ")
     assert stop.values["pieces"] == 1
     assert 23.0 < float(stop.values["percent"]) < 75.0  # a stop in a third of a dwell, at most, varies by 71 %
@@ -175,7 +175,7 @@ def test_dwells_that_all_end_in_a_stop_make_the_verdict_bad() -> None:
     late = calibrate(shifted(replace(session, turns=session.turns[:-1]), 60))  # the last one has nothing after it
     assert late.verdict.status == "bad"
     stop = next(item for item in late.verdict.findings if item.code == "session.piece")
-    assert "overlaps a stop" in stop.detail
+    assert "overlaps a stop" in stop.sentence
     assert stop.values["pieces"] > 90  # of 102
 
 

@@ -9,7 +9,7 @@ from undrift.findings import Verdict, finding
 from undrift.io.store import read_calibration, write_calibration
 
 APPLIED = ("correct", "orient", "validate", "info", "export", "certificate")
-BAD = finding("mount.uncertain", "fail", degrees=9.0, limit=5.0)
+BAD = finding("mount.uncertain", "fail", "The mounting is uncertain by 9 deg.")
 
 
 @pytest.fixture

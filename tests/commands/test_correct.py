@@ -151,7 +151,7 @@ def test_time_without_temperature_is_told_under_every_policy_in_text_and_json(un
         told = undrift.good(*words, "--policy", policy, "--json").json()
         assert told["data"]["samples_without_temperature"] == 200
         assert told["data"]["seconds_without_temperature"] == pytest.approx(200 / tuned.sample_rate_hz, abs=1e-6)
-        assert "without a temperature" in told["findings"][0]["text"]
+        assert told["findings"][0]["code"] == "correct.no_temperature"
         assert np.isnan(read_record(tmp_path / "o.parquet").gyro).any(axis=1).sum() == 200
 
 

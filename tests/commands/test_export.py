@@ -91,9 +91,9 @@ def test_another_package_adds_a_target_by_an_entry_point(undrift, bench, tmp_pat
 
 def test_a_bad_verdict_is_written_and_ends_with_1(undrift, bench, tmp_path):
     held = json.loads((bench / "calibration.json").read_text())
-    held["verdict"] = tree_of(Verdict.of(finding("gyro.scale_factor", "fail", what="12 % off")))
+    held["verdict"] = tree_of(Verdict.of(finding("gyro.scale_factor", "fail", "The scale is 12 % off.")))
     (tmp_path / "bad.json").write_text(json.dumps(held))
     answer = undrift("export", tmp_path / "bad.json", "--target", "c", "-o", tmp_path / "a.h")
     assert (answer.code, answer.err) == (1, "")
-    assert "Check the scale of the gyroscopes" in answer.out
+    assert "The scale is 12 % off." in answer.out
     assert (tmp_path / "a.c").exists()

@@ -147,7 +147,7 @@ def test_a_map_of_one_key_serves_own_names_and_an_option_overrules_it(undrift, t
 
 def test_the_findings_of_a_verdict_stand_one_by_one_and_all_with_details(undrift, bench, tmp_path):
     held = json.loads((bench / "calibration.json").read_text())
-    found = [finding("gyro.scale_factor", "warn", what=f"{6.0 + k} % off") for k in range(5)]
+    found = [finding("gyro.scale_factor", "warn", f"It is {6.0 + k} % off.") for k in range(5)]
     verdict = Verdict.of(*found)
     held["verdict"] = tree_of(verdict)
     (tmp_path / "c.json").write_text(json.dumps(held))

@@ -137,7 +137,7 @@ def test_the_filter_is_taken_by_its_name(undrift, bench, tmp_path):
 
 def test_a_marginal_calibration_is_one_finding(undrift, bench, tmp_path):
     calibration = read_calibration(bench / "calibration.json")
-    verdict = Verdict.of(finding("mount.uncertain", "warn", degrees=9.0, limit=5.0))
+    verdict = Verdict.of(finding("mount.uncertain", "warn", "The mounting is uncertain by 9 deg."))
     write_calibration(replace(calibration, verdict=verdict), tmp_path / "c.json")
     words = ("orient", bench / "trial.parquet", "--calibration", tmp_path / "c.json", "-o", tmp_path / "o.csv")
     codes = [item["code"] for item in undrift.good(*words, "--json").json()["findings"]]

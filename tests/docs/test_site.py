@@ -13,7 +13,6 @@ import undrift
 from testkit.pages import CORNERS, PRINTED_PX, SCHEMES, WIDTHS, browser, seen_in
 from testkit.remembered import folder_made_once, run_folder
 from undrift.cli.app import COMMANDS
-from undrift.findings import catalogue
 from undrift.sim.device.presets import SHEETS
 
 pytest.importorskip("furo")
@@ -63,12 +62,10 @@ def pages_of(site: Path, name: str) -> str:
 
 
 @pytest.mark.slow
-def test_each_command_option_and_finding_is_in_the_site(site: Path) -> None:
+def test_each_command_and_option_is_in_the_site(site: Path) -> None:
     for name in COMMANDS:
         assert f"undrift {name}" in (site / "_generated" / f"command-{name}.html").read_text(encoding="utf-8")
     assert "--turn-deg" in (site / "_generated" / "command-calibrate.html").read_text(encoding="utf-8")
-    findings = pages_of(site, "findings")
-    assert [code for code in catalogue() if f">{code}<" not in findings] == []
 
 
 @pytest.mark.slow

@@ -97,7 +97,7 @@ def _of_recording(held: Description) -> Reading:
     parts = [
         part for part in (record.time[:, None], record.gyro, record.accel, record.mag_ut, temp) if part is not None
     ]
-    notes = (str(item.values["what"]) for item in held.findings if item.code == "recording.how_read")
+    notes = (item.sentence for item in held.findings if item.code == "recording.how_read")
     return Reading(
         kind=held.kind, names=held.columns, values=np.hstack(parts), units=held.units,
         about=(record.device, record.frame, record.state, *notes), found=_findings(held),

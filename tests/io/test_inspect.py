@@ -128,7 +128,7 @@ def test_with_a_map_a_foreign_table_is_described_with_its_problems(tmp_path):
     found = describe(path, columns)
     assert (found.kind, found.rows) == ("recording", 100)
     left_out, gravity = found.findings[:2]
-    assert (left_out.code, left_out.values) == ("recording.rows_left_out", {"count": 1, "why": "they did not parse"})
+    assert (left_out.code, left_out.values) == ("recording.rows_left_out", {"count": 1})
     assert (gravity.code, gravity.values["direction"]) == ("recording.gravity", "small")
     assert gravity.values["median_g"] == pytest.approx(0.25, rel=0.01)
 

@@ -35,56 +35,47 @@ def spiked(values, row, value):
 
 CASES = [
     (
-        "quarter g", {"accel": sound().accel / 4}, "recording.gravity", {"median_g": 0.25, "factor": 4.0, "direction": "small"},
-        "median |accel| is 0.25 g where a body at rest reads 1 g (4 times too small)",
+        "quarter g", {"accel": sound().accel / 4}, "recording.gravity", {"median_g": 0.25, "direction": "small"},
     ),
     (
         "m/s2 as g", {"accel": sound().accel * 9.81}, "recording.gravity",
-        {"median_g": 9.81, "factor": 9.81, "direction": "large"}, "9.81 times too large",
+        {"median_g": 9.81, "direction": "large"},
     ),
     (
         "rad/s for dps", {"gyro": sound().gyro + np.array([0, 40, 0])}, "recording.rest_rate", {"turn_rate_dps": 40.0},
-        "40 deg/s in its quietest two seconds",
     ),
     (
         "processor", {"temp_c": sound().temp_c + 28}, "recording.temperature", {"low_c": 52.65, "high_c": 53.35},
-        "is not room temperature: processor",
     ),
     (
         "jump", {"temp_c": spiked(sound().temp_c, 100, 147.7)}, "recording.temperature",
-        {"count": 2, "first_sample": 99}, "by over 5 K between samples, 2 times, first after sample 99",
+        {"count": 2, "first_sample": 99},
     ),
-    ("no temperature", {"temp_c": np.full(2000, np.nan)}, "recording.temperature", {}, "its column is empty"),
+    ("no temperature", {"temp_c": np.full(2000, np.nan)}, "recording.temperature", {}),
     (
         "uneven", {"time": np.cumsum(np.random.default_rng(1).uniform(0.008, 0.012, 2000))}, "recording.uneven_sampling",
-        {}, "uneven sampling: half of the steps lie outside",
+        {},
     ),
     (
         "drop-out", {"time": np.arange(2000) / 100 + 3.0 * (np.arange(2000) > 700)}, "recording.uneven_sampling",
         {"count": 1, "longest_s": 3.01},
-        "Drop-outs: 1, the longest 3.01 s at 7 s",
     ),
     (
         "dead axis", {"gyro": sound().gyro * [1, 0, 1]}, "recording.dead_axis", {"channel": "gyro", "axis": "y"},
-        "gyro y never changes",
     ),
     (
         "saturated", {"gyro": spiked(sound().gyro, slice(50, 62), [0, 0, 250.0])}, "recording.saturated",
-        {"channel": "gyro", "axis": "z", "reading": 250.0, "count": 12},
-        "gyro z saturated: it stays at 250 for 12 samples in a row",
+        {"channel": "gyro", "axis": "z", "count": 12},
     ),
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("change", "code", "values", "words"), [case[1:] for case in CASES], ids=[case[0] for case in CASES]
-)
-def test_each_symptom_is_one_finding(change, code, values, words):
+@pytest.mark.parametrize(("change", "code", "values"), [case[1:] for case in CASES], ids=[case[0] for case in CASES])
+def test_each_symptom_is_one_finding(change, code, values):
     (found,) = find_symptoms(sound(**change))
     assert found.code == code
     for name, value in values.items():
         assert found.values[name] == (value if isinstance(value, str) else pytest.approx(value, rel=0.02))
-    assert words.lower() in found.text.lower()
 
 
 def test_rows_left_out_are_counted():
@@ -93,7 +84,6 @@ def test_rows_left_out_are_counted():
         ("recording.rows_left_out", 4),
         ("recording.rows_left_out", 2),
     ]
-    assert found.problems == ("Rows left out: 4; they did not parse", "Rows left out: 2; their time did not go forward")
 
 
 def test_gaps_are_counted_by_sample():

@@ -66,7 +66,7 @@ def full() -> Calibration:
         drift=DriftTables(static=static, scale=scale, dynamic=dynamic, lag_s=80.0, lag_smooth_s=1.0),
         adc=AdcModel(gyro_lsb=numbers(3), accel_lsb=numbers(3), gyro_rounding="floor", accel_rounding="toward_zero"),
         noise=NoiseModel(**{f.name: numbers(3) for f in fields(NoiseModel)}),
-        verdict=Verdict(status="marginal", findings=(finding("recording.how_read", "info", what="p"),)),
+        verdict=Verdict(status="marginal", findings=(finding("a.b", "info", "p.", "q.", x=1.5, axes=("a",)),)),
         provenance=Provenance(inputs=(("a", "b"),), settings=(("c", ""),), versions=(("d", "e"),), created="2026"),
     )  # fmt: skip
 

@@ -243,7 +243,7 @@ def texts_of(value: Any, *levels: str) -> list[str]:
         return [value.text] if value.level in wanted else []
     if isinstance(value, Mapping):
         if "level" in value and "text" in value:
-            return [str(value["text"])] if value["level"] in wanted else []
+            return [f"{value['text']} {value.get('action', '')}".rstrip()] if value["level"] in wanted else []
         if "worst_finding" in value:  # a row of a folder
             return [] if levels else [text for text in (value["error"], value["worst_finding"]) if text]
         return [text for item in value.values() for text in texts_of(item, *levels)]

@@ -121,7 +121,7 @@ def test_one_pose_between_two_faces_shows_its_term_and_the_prior_stands_for_the_
     fit, accel = fitted(3, script_motion(script, SETTINGS))
     found = only(fit.accel.verdict.findings, "session.not_observable")
     assert found.values["what"] == "Accelerometer's cross-axis terms xz and yz"
-    assert found.action == "add poses between the faces (edges and corners up)"
+    assert "between the faces" in found.action
     share = fit.accel.model.standard_uncertainty[:9].reshape(3, 3)
     assert share[0, 1] < 1e-3
     assert (share[[0, 1], [2, 2]] > 0.003).all()  # poses 0.3 deg off the faces add a little to the prior's 0.01

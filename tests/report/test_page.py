@@ -58,7 +58,7 @@ def test_what_users_named_is_escaped(tmp_path):
 
 
 def test_the_verdict_stands_first_with_its_reasons(tmp_path):
-    findings = (finding("recording.how_read", "warn", what=text) for text in ("too few poses", "the table slipped"))
+    findings = (finding("recording.how_read", "warn", text) for text in ("too few poses", "the table slipped"))
     verdict = Verdict(status="marginal", findings=tuple(findings))
     text = page(tmp_path, sections=(Section(title="Later", text=("more",)), Section(title="Empty")), verdict=verdict)
     assert (

@@ -39,13 +39,13 @@ def test_no_text_of_a_command_names_the_folders_of_the_bench(tmp_path: Path) -> 
 
 
 def test_all_that_a_command_noticed_is_a_remark_once_the_gravest_first() -> None:
-    warning = {"level": "warn", "text": "Signs differ: y; say which", "action": "say which"}
+    warning = {"level": "warn", "text": "Signs differ: y", "action": "say which"}
     outside = {"level": "warn", "text": "20 s outside", "action": ""}
     answer = {
         "findings": [warning],
         "recordings": [{"findings": [warning, outside], "notes": ["left out", "20 s outside"]}],
         "trials": [{"findings": [{"level": "info", "text": "aligned", "action": ""}], "notes": ["aligned"]}],
-        "verdict": {"findings": [{"level": "fail", "text": "no faces; record six", "action": "record six"}]},
+        "verdict": {"findings": [{"level": "fail", "text": "no faces", "action": "record six"}]},
         "problems": ["gap"],
         "notes": "no list",
         "result": {"recordings": [{"notes": ["left out"]}]},

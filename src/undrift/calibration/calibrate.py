@@ -52,7 +52,8 @@ LATITUDE_LIKE_RADIANS = (0.4, 1.22)  # latitudes that may be in radians (23 to 7
 GRAVITY_SPREAD = (
     0.02  # m/s2: largest difference between standard gravity and local gravity, which ranges from 9.78 to 9.83
 )
-RECORD_TURNS = "record turns by known rates or angles"
+GIVE_GRAVITY = "Give `gravity_m_s2`, or `latitude_deg` and `height_m`."
+RECORD_TURNS = "Record turns by known rates or angles."
 
 
 def calibrate_rest(observed: Observed, mode: Mode | None, accel: TriadFit | None) -> Outcome:
@@ -62,7 +63,7 @@ def calibrate_rest(observed: Observed, mode: Mode | None, accel: TriadFit | None
     # Faces and poses are meant for the accelerometers. Full or steady turns were meant for the gyroscopes.
     turned = steady or (is_physical(unit) and observed.turns_of(2.0 * np.pi))
     level: Level = "warn" if accel is None or turned else "info"
-    record = f"give turn_rate_dps and axis for each of {steady} steady turns" if steady else RECORD_TURNS
+    record = f"Give turn_rate_dps and axis for each of {steady} steady turns." if steady else RECORD_TURNS
     if not stills or not is_physical(unit):  # a model gives rad/s, and the scale of counts is unknown
         return Outcome(findings=(_not_observable("Gyroscope", level, record=record),))
     factor, creep = si_factor(unit, "rate"), creep_of(observed, stills, "gyro")
@@ -71,7 +72,7 @@ def calibrate_rest(observed: Observed, mode: Mode | None, accel: TriadFit | None
     if np.isnan(offset).any():
         return Outcome(findings=(_not_observable("Gyroscope", "warn", record=RECORD_TURNS),))
     share = np.where(np.eye(3) > 0.0, SCALE_FACTOR, observed.settings.cross_axis_prior)
-    nominal = f"the nominal scale of the unit is used, +- {100.0 * SCALE_FACTOR:g} % (1 sigma), and was not checked"
+    nominal = f"the nominal scale is used with +- {100.0 * SCALE_FACTOR:g} % (1 sigma)."
     fit = triad_fit(
         (means[~np.isnan(means).any(axis=1)] - offset) * factor,
         Verdict.of(_not_observable("Gyroscope scale", level, why=nominal, record=record)),
@@ -191,7 +192,7 @@ def calibrated(
         if fit is not None:
             verdict, models[name] = verdict.also(fit.verdict), fit.model
     if not models:
-        reasons = "; ".join(item.text for item in findings)
+        reasons = " ".join(item.text for item in findings)
         raise NotObservable(f"calibrate: no pose or turn can be used for a fit: {reasons}")
     choices = _choices(observed, accel_outcome.method, gyro_outcome.method, mode)
     return _build_calibration(
@@ -205,16 +206,13 @@ def _collect_verdict(findings: Iterable[Finding]) -> Verdict:
 
 
 def _not_observable(what: str, level: Level, *, record: str, why: str = "") -> Finding:
-    return finding("session.not_observable", level, what=what, why=why, record=record)
+    sentence = f"The session does not determine the {what[0].lower()}{what[1:]}{f': {why}' if why else '.'}"
+    return finding("session.not_observable", level, sentence, record, what=what)
 
 
 def _gravity_assumed(gravity_m_s2: float, level: Level) -> Finding:
-    assumed = f"standard gravity assumed, {gravity_m_s2:.5f} m/s2"
-    return finding(
-        "session.gravity",
-        level,
-        why=f"{assumed}, with an error of up to 0.3 %. The accelerometer scale has the same error",
-    )
+    sentence = f"Standard gravity was assumed, {gravity_m_s2:.5f} m/s2, so the accelerometer scale may be off by 0.3 %."
+    return finding("session.gravity", level, sentence, GIVE_GRAVITY)
 
 
 def _doubts(observed: Observed, accel: Outcome, gyro: Outcome) -> Iterator[Finding]:
@@ -222,7 +220,9 @@ def _doubts(observed: Observed, accel: Outcome, gyro: Outcome) -> Iterator[Findi
     latitude_deg = observed.settings.latitude_deg
     if latitude_deg is not None and LATITUDE_LIKE_RADIANS[0] < abs(latitude_deg) < LATITUDE_LIKE_RADIANS[1]:
         as_degrees = f"{latitude_deg:g} rad are {latitude_deg / RADIAN_PER_DEGREE:.4g} deg"
-        yield finding("session.gravity", "warn", why=f"the latitude {latitude_deg:g} may be in radians; {as_degrees}")
+        yield finding(
+            "session.gravity", "warn", f"The latitude {latitude_deg:g} may be in radians: {as_degrees}.", GIVE_GRAVITY
+        )
     if observed.session.gravity_source == "standard" and accel.fit is not None:
         yield _gravity_assumed(observed.session.gravity_m_s2, "warn")
     if gyro.fit is not None:
@@ -265,12 +265,14 @@ def _calibrate_accel(observed: Observed, method: AccelFit | None, mode: Mode | N
     except NotObservable as error:
         if method is not None or faces:
             raise
-        why = f"{error} Faces without a rest: {', '.join(missing) or 'none'}"
-        return Outcome(findings=(_not_observable("Accelerometer", "warn", why=why, record="record them"),))
+        why = f"{error} Faces without a rest: {', '.join(missing) or 'none'}."
+        return Outcome(
+            findings=(_not_observable("Accelerometer", "warn", why=why, record="Record the missing rests."),)
+        )
     _check_mode("accelerometer", mode, outcome, "rests on all six faces")
     findings = list[Finding]()
     if outcome.method == "multi-position":
-        record = "rest on six faces of the case, because free poses determine only the length of gravity"
+        record = "Rest on six faces of the case, because free poses determine only the length of gravity."
         findings.append(_not_observable("Mounting of the sensors in the case", "info", record=record))
     if outcome.fit is not None:
         findings += check_accel(observed.session, outcome.fit.model, observed.unused_stills(outcome.used))
@@ -288,11 +290,11 @@ def _calibrate_gyro(observed: Observed, method: GyroFit | None, mode: Mode | Non
     try:
         outcome = GYRO_FITS[fit_name](sound, mode, accel)
         if outcome.fit is None and (method is not None or fit_name != "rest"):
-            raise NotObservable("; ".join(item.text for item in outcome.findings))
+            raise NotObservable(" ".join(item.text for item in outcome.findings))
     except NotObservable as error:
         if method is not None:
             reasons = (f"gyroscope by {method}: {error}", *(item.text for item in saturated))
-            raise NotObservable("; ".join(reasons), **error.numbers) from error
+            raise NotObservable(" ".join(reasons), **error.numbers) from error
         rest = calibrate_rest(observed, mode, accel)
         failed = _not_observable("Gyroscope scale", "warn", why=str(error), record=RECORD_TURNS)
         outcome = replace(rest, findings=(failed, *(() if rest.fit is None else rest.findings)))
@@ -301,7 +303,7 @@ def _calibrate_gyro(observed: Observed, method: GyroFit | None, mode: Mode | Non
         return outcome
     _check_mode("gyroscope", mode, outcome, "turns by known rates or angles")
     if accel is None and outcome.method in ("rate-table", "known-rotation"):
-        record = "record rests on six faces with accelerometers in the same session"
+        record = "Record rests on six faces with accelerometers in the same session."
         outcome = outcome.after(_not_observable("g-sensitivity of the gyroscopes", "info", record=record))
     return outcome
 
@@ -437,7 +439,7 @@ def _accel_by_reference(
             readings, references, mountings=fit.mountings, gravity_m_s2=gravity_m_s2, lags_s=fit.lags_s
         )
     except (CalibrationError, InputError) as error:
-        failed = _not_observable("Accelerometer", "info", why=str(error), record="record rests on six sides")
+        failed = _not_observable("Accelerometer", "info", why=str(error), record="Record rests on six sides.")
         return turned_like(fit.triad.model, readings[0].accel_unit), Verdict.of(failed)
     return accel.model, accel.verdict
 

@@ -206,4 +206,13 @@ def limited_by_codes(
 ) -> Iterator[Finding]:
     """Yield a finding if rounding, of variance ``codes`` (3,), is most of a variance (3,): its error is not normal."""
     if (codes > MAX_SHARE * np.maximum(variance, 1e-300)).any():
-        yield finding("session.rounding", "warn", triad=triad, uncertainty=float(np.sqrt(codes.max())), unit=unit)
+        uncertainty = float(np.sqrt(codes.max()))
+        yield finding(
+            "session.rounding",
+            "warn",
+            f"Readings of the {triad} at rest move by less than a step, which adds {uncertainty:.2g} {unit} (1 sigma) to every "
+            "mean.",
+            "Choose a smaller range or more bits.",
+            triad=triad,
+            uncertainty=uncertainty,
+        )

@@ -24,6 +24,7 @@ import numpy as np
 from undrift.arrays import FloatArray, bridged
 from undrift.calibration.norm import TOLERANCE
 from undrift.calibration.plausibility import check_own_scale
+from undrift.calibration.reference import scale_keeps_prior
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.carried import MEAN_S, CarriedMeans
@@ -367,8 +368,8 @@ def _triad(
 
 
 ADVICE = {
-    "gyroscope": "add ten seconds for each axis: lay it level and turn the device about it by half a turn or more, to and fro",
-    "accelerometer": "add ten seconds for each side: hold the device with each of these axes up, then down",
+    "gyroscope": "Add ten seconds for each axis: lay it level and turn the device about it by half a turn or more, to and fro.",
+    "accelerometer": "Add ten seconds for each side: hold the device with each of these axes up, then down.",
 }
 
 
@@ -378,9 +379,11 @@ def _findings(x: FloatArray, covariance: FloatArray, sizes: FloatArray) -> Itera
         spread = np.sqrt(np.diag(covariance))[first + SCALES]
         axes = tuple(axis for axis, hidden in zip("xyz", spread > SHOWN * size, strict=True) if hidden)
         if axes:
-            percent = 100.0 * float(spread.max())
-            yield finding(
-                "motion.prior", "warn", triad=triad, axes=axes, uncertainty_percent=percent, advice=ADVICE[triad]
-            )
+            yield scale_keeps_prior(triad, axes, float(spread.max()), ADVICE[triad])
         if (deviation := float(np.abs(1.0 / x[first + SCALES] - 1.0).max())) > SCALE_LIMIT:
-            yield finding("motion.scale", "warn", triad=triad, percent=100.0 * deviation)
+            yield finding(
+                "motion.scale",
+                "warn",
+                f"The {triad} scale is {100.0 * deviation:.2g} % off its unit (data sheets allow 3 %).",
+                "Check sample rate and unit in the map of the columns.",
+            )

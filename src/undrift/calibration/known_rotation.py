@@ -286,7 +286,7 @@ def _combine_with_moves(
     except NotObservable:
         return turns, []
     except PoorFit as error:
-        return turns, [finding("known_rotation.moves_disagree", "warn", what=f"the moves were not used: {error}")]
+        return turns, [_moves_disagree(f"The moves between rests contradict the turns and were not used: {error}")]
     difference, common = moves.theta - turns.theta[:9], warmth @ moves_warmth.T
     spread = moves.covariance + turns.covariance[:9, :9] - common[:9] - common[:9].T
     gain = np.linalg.solve(spread, (turns.covariance[:, :9] - common).T).T
@@ -300,8 +300,16 @@ def _combine_with_moves(
     if difference @ np.linalg.solve(spread, difference) <= CONTRADICTION:
         return joined, []
     percent = 100.0 * float(np.abs(difference).max() / np.linalg.norm(moves.matrix, 2))
-    what = f"the matrices of the turns and of the moves differ by {percent:.2g} %, more than their uncertainty"
-    return joined, [finding("known_rotation.moves_disagree", "warn", what=what)]
+    return joined, [
+        _moves_disagree(
+            f"The matrices of turns and of moves between rests differ by {percent:.2g} %, beyond their uncertainty."
+        )
+    ]
+
+
+def _moves_disagree(sentence: str) -> Finding:
+    action = "Check the angles, axes and rests in the session, and that both sensors use the same clock."
+    return finding("known_rotation.moves_disagree", "warn", sentence, action)
 
 
 def _check_complete(rows: RotationRows, mode: KnownRotationMode) -> list[int]:

@@ -27,7 +27,7 @@ from scipy.optimize import minimize
 
 from undrift.arrays import BoolArray, FloatArray, runs
 from undrift.errors import InputError, NotObservable
-from undrift.findings import Finding, Level, finding
+from undrift.findings import Finding, finding
 from undrift.fit.gls import carried
 from undrift.fit.triad import inverse_jacobian, triad_fit
 from undrift.frames import rotation
@@ -264,13 +264,29 @@ def _findings(stretches: list[_FieldStretch], sigma: FloatArray, gyro_axes: Floa
     heading = float(np.hypot(soft.max() / steepest, hard.max() / min(horizontal)))
     if heading > ROUGH:
         axes = tuple(axis for axis, wide in zip(AXES, hard > WIDEST * hard.max(), strict=True) if wide)
-        values = {"heading_deg": heading / RADIAN_PER_DEGREE, "offset_ut": float(hard.max())}
-        yield finding("magnetometer.heading", "warn", axes=axes, **values)
+        yield finding(
+            "magnetometer.heading",
+            "warn",
+            f"The magnetic heading is uncertain by up to {heading / RADIAN_PER_DEGREE:.2g} deg (1 sigma), mostly from hard and "
+            "soft "
+            f"iron along {', '.join(axes)} (hard iron: {hard.max():.2g} uT).",
+            "Add twenty seconds for each of these axes: hold it level and turn the device about it by a full turn, slowly.",
+            axes=axes,
+        )
     for recording, group in groupby(stretches, lambda stretch: stretch.recording):
         times, calms = zip(*[(stretch.time, stretch.calm) for stretch in group], strict=True)
         time, calm = np.concatenate(times), np.concatenate(calms)
         if not calm.all():
             first, stop = max(runs(~calm), key=lambda span: span[1] - span[0])
-            percent, span = 100.0 * float(1.0 - calm.mean()), {"start_s": time[first], "stop_s": time[stop - 1]}
-            level: Level = "warn" if percent > 50.0 else "info"
-            yield finding("magnetometer.disturbed", level, recording=recording + 1, percent=percent, **span)
+            percent, start_s, stop_s = 100.0 * float(1.0 - calm.mean()), time[first], time[stop - 1]
+            yield finding(
+                "magnetometer.disturbed",
+                "warn" if percent > 50.0 else "info",
+                f"The magnetic field was disturbed for {percent:.2g} % of recording {recording + 1}, longest from {start_s:.1f} to "
+                f"{stop_s:.1f} s. These stretches were left out.",
+                "Keep away from iron, cables and magnets.",
+                recording=recording + 1,
+                percent=percent,
+                start_s=start_s,
+                stop_s=stop_s,
+            )

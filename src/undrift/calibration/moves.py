@@ -24,8 +24,8 @@ import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
 from undrift.calibration.codes import code_steps, code_variance, limited_by_codes
-from undrift.calibration.norm import NAMES, QUADRATIC_SD, TOLERANCE, check_count, fit_norm, judged
-from undrift.calibration.plausibility import check_axis_order, check_own_scale, check_range, stuck_windows
+from undrift.calibration.norm import NAMES, QUADRATIC_SD, TOLERANCE, check_count, fit_norm, judged, misses_gravity
+from undrift.calibration.plausibility import check_axis_order, check_own_scale, check_range, saturated, stuck_windows
 from undrift.calibration.session import Observed, Outcome
 from undrift.calibration.sources import (
     Creep,
@@ -34,10 +34,10 @@ from undrift.calibration.sources import (
     offset_drift,
     slip_covariance,
     steady_drift,
+    uncertain,
     walk_about_mean,
 )
 from undrift.errors import NotObservable, PoorFit
-from undrift.findings import above, finding
 from undrift.fit.gls import GlsFit, Prior, carried, solve
 from undrift.fit.priors import G_SENSITIVITY, GYRO_FLICKER, REST_DRIFT, UNCERTAIN_PERCENT
 from undrift.fit.triad import TriadFit, TriadParameters, fit_of, parameter_names
@@ -131,8 +131,7 @@ class Moves:
             f"the move after still {before[k] + 1} ({time[first[k]]:.1f}-{time[last[k]]:.1f} s)"
             for k in np.flatnonzero(stuck)
         )
-        count = {"count": len(names), "of": len(before)}
-        self.saturated = (finding("session.saturated", "warn", what="moves", pieces=names, **count),) if names else ()
+        self.saturated = (saturated("moves", len(names), len(before), names),) if names else ()
         # (J,), number of the still before each move, its last sample, and the first sample of the still after the move
         self.before, self.first, self.last = before[~stuck], first[~stuck], last[~stuck]
         self.duration_s = time[self.last] - time[self.first]
@@ -196,7 +195,7 @@ LEAST_RATE = 1e-3  # smallest standard deviation of a rest, relative to the flic
 LOOSE = 1e-4  # weight of the turns by known angles in the fit to the moves
 CONTRADICTS = 0.5  # largest relative change of the matrix from the turns (more indicates other axes or another clock)
 HOPELESS_DEG = 20.0  # rms angle beyond which the moves do not belong to this gyroscope
-MATRIX_UNCERTAIN = {"what": "Gyroscope matrix", "record": "make more and larger turns between the poses"}
+MORE_TURNS = "Make more and larger turns between the poses."
 MISS_DEG = (2.0, 8.0)  # limits of a verdict: marginal above the first, bad above the second
 
 
@@ -268,8 +267,8 @@ def fit_moves(
     if len(moves.first) < FEWEST_MOVES:
         raise NotObservable(
             f"multi-position gyro: expected {FEWEST_MOVES} moves or more between stills for {parameter_names(MATRIX_NAMES)}, got "
-            f"{len(moves.first)}{''.join(f' ({item.text})' for item in moves.saturated)}. Turn the device by 90 deg or more about "
-            "another axis between still poses of the same recording.",
+            f"{len(moves.first)}{''.join(f'. {item.sentence[:-1]}' for item in moves.saturated)}. Turn the device by 90 deg or "
+            "more about another axis between still poses of the same recording.",
             moves=len(moves.first),
         )
     matrix = rough_matrix(moves, accel, np.median(still_moments(moves.gyro, moves.start, moves.stop)[0], axis=0))
@@ -480,8 +479,8 @@ def _judge_triad(problem: _Problem, fit: GlsFit, rows: _Rows, unit_in: str) -> T
     percent = 100.0 * float(np.sqrt(variance[:9].max()) / np.cbrt(abs(np.linalg.det(matrix))))
     inside = [moves.gyro[first + 1 : last + 1] for first, last in zip(moves.first, moves.last, strict=True)]
     findings = (
-        *above("multi_position.residual", rms_deg, MISS_DEG, rms=rms_deg, unit="deg", what="Moves"),
-        *above("session.uncertain", percent, UNCERTAIN_PERCENT, size=percent, unit="%", **MATRIX_UNCERTAIN),
+        *misses_gravity("Moves", rms_deg, MISS_DEG, "deg"),
+        *uncertain("The gyroscope matrix", percent, UNCERTAIN_PERCENT, "%", MORE_TURNS),
         *limited_by_codes("gyroscope", problem.codes, variance[9:12], unit_in),
         *offset_drift(fit),
         *moves.saturated,

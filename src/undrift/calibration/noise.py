@@ -300,17 +300,21 @@ def _fit_axis(curve: AllanDeviation, axis: str, unit: str) -> AxisNoise:
     return AxisNoise(axis=axis, curve=curve, model_error=float(np.sqrt(departure)), **coefficients)
 
 
+CORRECT_UNIT = "Correct the unit in the map or the column's name."
+
+
 def _unit_findings(record: Record, gyro: tuple[AxisNoise, ...]) -> Iterator[Finding]:
     """Yield a finding if time or gyroscope seem to be in another unit."""
     if record.sample_rate_hz < LEAST_HZ:
-        what = f"{record.sample_rate_hz:.3g} samples a second"
-        yield finding("noise.unit", "warn", text="Time is in milliseconds, not seconds", what=what)
+        sentence = f"Time is in milliseconds, not seconds: the file has {record.sample_rate_hz:.3g} samples a second."
+        yield finding("noise.unit", "warn", sentence, CORRECT_UNIT)
     elif gyro and is_physical(record.gyro_unit):
         walk = float(np.median([axis.angle_random_walk.value for axis in gyro])) / RADIAN_PER_DEGREE
         if not USUAL_WALK[0] <= walk <= USUAL_WALK[1]:
-            units = ("deg/s", "rad/s") if walk > USUAL_WALK[1] else ("rad/s", "deg/s")
-            what = f"angle random walk of {walk:.2g} deg/s/sqrt(Hz), usual: 0.002 to 0.05"
-            yield finding("noise.unit", "warn", text="Gyroscope is in {}, not {}".format(*units), what=what)
+            unit, other = ("deg/s", "rad/s") if walk > USUAL_WALK[1] else ("rad/s", "deg/s")
+            sentence = f"Gyroscope is in {unit}, not {other}: the angle random walk is {walk:.2g} deg/s/sqrt(Hz) (usual: 0.002 "
+            sentence += "to 0.05)."
+            yield finding("noise.unit", "warn", sentence, CORRECT_UNIT)
 
 
 def _findings(triad: str, axes: tuple[AxisNoise, ...], record: Record) -> Iterator[Finding]:
@@ -321,13 +325,19 @@ def _findings(triad: str, axes: tuple[AxisNoise, ...], record: Record) -> Iterat
             no_axis = name == "bias_instability" and len(lost) == len(axes)
             level: Level = "warn" if name == "angle_random_walk" or no_axis else "info"
             wanted_h = int(np.ceil(LONGER * record.duration_s / 3600.0))
+            axis_names, longest_s = f"{triad} {', '.join(lost)}", axes[0].curve.taus_s[-1]
             yield finding(
                 "session.not_observable",
                 level,
-                what=f"{triad} {', '.join(lost)}: {term}",
-                why=f"record of {record.duration_s:.0f} s, averaging times up to {axes[0].curve.taus_s[-1]:.4g} s",
-                record=f"record {wanted_h} h or more at rest, at a steady temperature",
+                f"{axis_names}: {term} is not observable in {record.duration_s:.0f} s (averaging times up to {longest_s:.4g} s).",
+                f"Record {wanted_h} h or more at rest, at a steady temperature.",
             )
     worst = max((axis.model_error for axis in axes), default=0.0)
     if worst >= DEPARTURE:
-        yield finding("noise.model_error", "warn", triad=triad, error_percent=100.0 * worst)
+        yield finding(
+            "noise.model_error",
+            "warn",
+            f"The Allan curve of the {triad} departs from the model by {100.0 * worst:.0f} % of its variance.",
+            "Record raw readings, without a filter, on a bench without vibration.",
+            error_percent=100.0 * worst,
+        )

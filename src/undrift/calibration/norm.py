@@ -34,9 +34,9 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.plausibility import check_gravity, check_own_scale
-from undrift.calibration.sources import Creep
+from undrift.calibration.sources import Creep, uncertain
 from undrift.errors import NotObservable, PoorFit
-from undrift.findings import Finding, above, finding
+from undrift.findings import Finding, above, finding, told_apart
 from undrift.fit.gls import NORMAL_95, GlsFit, Prior, carried, solve
 from undrift.fit.triad import TriadFit, TriadParameters, fit_of, parameter_names, scaled_condition
 from undrift.model import AXES, Verdict
@@ -216,7 +216,7 @@ def _check_determined(v: FloatArray, p: FloatArray, gravity: float, *, with_prio
         names = tuple(NAMES[i] for i in np.flatnonzero(share > PART * share.max()))
         raise NotObservable(
             f"multi-position: expected poses that change the length by {WEAKEST:g} g or more per unit of every parameter, got "
-            f"{weakest:.2g} for {parameter_names(names)}: {_advice((v - p[6:]) @ _upper(p).T, names)}.",
+            f"{weakest:.2g} for {parameter_names(names)}. {_advice((v - p[6:]) @ _upper(p).T, names)}",
             weakest=weakest,
             parameters=names,
         )
@@ -272,20 +272,43 @@ def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
     return replace(triad, model=replace(triad.model, rank=9 - len(fit.kept), condition=fit.condition))
 
 
+def misses_gravity(what: str, rms: float, limits: tuple[float, float], unit: str) -> tuple[Finding, ...]:
+    """Return a finding if poses or moves miss gravity by more than the first of two limits, rms."""
+    size = told_apart(rms, ".2g", limits[0])
+    return above(
+        "multi_position.residual",
+        rms,
+        limits,
+        f"{what} miss gravity by {size} {unit} rms (limit {limits[0]:g} {unit}): the device moved in some, or it is not linear.",
+        "Repeat them, turn more slowly and rest longer.",
+        rms=rms,
+    )
+
+
 def _judged(fit: NormFit, corrected: FloatArray) -> Iterator[Finding]:
     rms_mg, sigma = float(np.sqrt(np.mean(fit.residuals**2))) / MG, fit.uncertainty / MG
-    yield from above("multi_position.residual", rms_mg, RESIDUAL_MG, rms=rms_mg, unit="mg", what="Poses")
-    yield from above("multi_position.nonlinear", fit.quadratic_times, QUADRATIC_TIMES, times=fit.quadratic_times)
-    poses = "record more poses, and keep the device still for longer in each"
-    yield from above("session.uncertain", sigma, UNCERTAIN_MG, size=sigma, unit="mg", what="Gravity", record=poses)
+    yield from misses_gravity("Poses", rms_mg, RESIDUAL_MG, "mg")
+    times, limit = fit.quadratic_times, QUADRATIC_TIMES[0]
+    yield from above(
+        "multi_position.nonlinear",
+        times,
+        QUADRATIC_TIMES,
+        f"The accelerometers are {told_apart(times, '.2g', limit)} times less linear than data sheets state (limit {limit:g}).",
+        "Check the offset with six faces on a level plate, and keep the device still in each pose.",
+    )
+    yield from uncertain(
+        "Gravity", sigma, UNCERTAIN_MG, "mg", "Record more poses, and keep the device still for longer in each."
+    )
     if fit.prior_sd is not None and fit.kept:
         percent = 100.0 * np.sqrt(max(fit.covariance[i, i] for i in CROSS if NAMES[i] in fit.kept))
+        what = f"Accelerometer's {parameter_names(fit.kept)}"
         yield finding(
             "session.not_observable",
             "warn",
-            what=f"Accelerometer's {parameter_names(fit.kept)}",
-            why=f"0 +- {100.0 * fit.prior_sd:g} % of the scale was assumed, +- {percent:.2g} % remains (1 sigma)",
-            record=_advice(corrected, fit.kept),
+            f"The poses do not determine the {what[0].lower()}{what[1:]}. 0 +- {100.0 * fit.prior_sd:g} % of the scale was "
+            f"assumed, +- {percent:.2g} % remains (1 sigma).",
+            _advice(corrected, fit.kept),
+            what=what,
         )
 
 
@@ -294,7 +317,7 @@ def _advice(corrected: FloatArray, unseen: tuple[str, ...]) -> str:
     values, vectors = np.linalg.eigh(n.T @ n / len(n))
     if values[0] < 0.02:
         axis = AXES[int(np.abs(vectors[:, 0]).argmax())]
-        return f"all poses lie near one plane: add poses with the {axis} axis up and with it down"
+        return f"All poses lie near one plane. Add poses with the {axis} axis up and with it down."
     if set(unseen) <= {NAMES[i] for i in CROSS}:
-        return "add poses between the faces (edges and corners up)"
-    return "add poses on the sides, edges and corners that are missing"
+        return "Add poses between the faces (edges and corners up)."
+    return "Add poses on the sides, edges and corners that are missing."

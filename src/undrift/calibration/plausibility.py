@@ -12,7 +12,7 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
 from undrift.errors import Implausible
-from undrift.findings import Finding, above, finding
+from undrift.findings import Finding, Level, above, finding, told_apart
 from undrift.fit.priors import SCALE_LIMIT
 from undrift.io.inspect import STUCK, saturated_runs
 from undrift.model import AXES
@@ -140,6 +140,21 @@ def check_range(windows: Sequence[FloatArray], what: str) -> None:
             )
 
 
+def saturated(what: str, count: int, of: int, pieces: tuple[str, ...]) -> Finding:
+    """Return a finding about samples, moves or turns that were left out because a reading sticks at the end of its range."""
+    names = ", ".join(pieces[:5]) + (f" and {len(pieces) - 5} more" if len(pieces) > 5 else "")
+    return finding(
+        "session.saturated",
+        "warn",
+        f"{count} of {of} {what} are saturated and were left out: {names}.",
+        "Choose a wider range or move more slowly, and record them again.",
+        what=what,
+        count=count,
+        of=of,
+        pieces=pieces,
+    )
+
+
 def without_saturated(record: Record) -> tuple[Record, tuple[Finding, ...]]:
     """Return the record with a gap in place of the readings at the end of the range, and a finding for each triad."""
     findings, changed = list[Finding](), dict[str, Any]()
@@ -148,20 +163,21 @@ def without_saturated(record: Record) -> tuple[Record, tuple[Finding, ...]]:
         if readings is None:
             continue
         ends = [np.isin(column, [limit for limit, _ in saturated_runs(column)]) for column in readings.T]
-        saturated = np.column_stack(ends)
-        if saturated.any():
+        stuck = np.column_stack(ends)
+        if stuck.any():
             axes = tuple(f"{channel} {axis}" for axis, rows in zip(AXES, ends, strict=True) if rows.any())
-            count = int(saturated.any(axis=1).sum())
-            findings.append(
-                finding("session.saturated", "warn", what="samples", count=count, of=len(record), pieces=axes)
-            )
-            changed[channel] = np.where(saturated, np.nan, readings)
+            count = int(stuck.any(axis=1).sum())
+            findings.append(saturated("samples", count, len(record), axes))
+            changed[channel] = np.where(stuck, np.nan, readings)
     return replace(record, **changed), tuple(findings)
 
 
 # ---- labels, gravity, scale
 
 SCALE_TOLERANCE = 0.25  # largest relative difference of a scale factor from its nominal value
+CHECK_GYRO_SCALE = (
+    "Compare it with the range set on the device. Give turn rates in deg/s, not rad/s, and angles in deg, not rad."
+)
 MIN_RANGE_DPS = 100.0  # gyroscopes of 16 bit end at 125 deg/s or beyond
 FORCE_UNITS = {  # length of the specific force in g -> cause
     STANDARD_GRAVITY: "acceleration is in m/s2, not g",
@@ -284,20 +300,20 @@ def check_gyro_scale(scale_factor: FloatArray, unit: str, largest: float, *, rat
         ratio = scale_factor * si_factor(unit, "rate") - 1.0
         axis = int(np.abs(ratio).argmax())
         percent = 100.0 * float(ratio[axis])
-        what = f"gyroscope {AXES[axis]} is {percent:+.1f} % off its nominal scale factor"
-        yield from above(
-            "gyro.scale_factor", abs(ratio[axis]), (SCALE_LIMIT, 2.0 * SCALE_LIMIT), what=what, off_percent=percent
-        )
+        limit_percent = 100.0 * SCALE_LIMIT
+        size = told_apart(percent, "+.1f", limit_percent)
+        sentence = f"Gyroscope {AXES[axis]} is {size} % off its nominal scale factor (limit {limit_percent:g} %)."
+        limits = (SCALE_LIMIT, 2.0 * SCALE_LIMIT)
+        yield from above("gyro.scale_factor", abs(ratio[axis]), limits, sentence, CHECK_GYRO_SCALE, off_percent=percent)
     elif rates_given:
         per_dps = float(np.median(scale_factor)) * RADIAN_PER_DEGREE
         range_dps = 2.0**15 / per_dps
-        what = (
-            "it depends on the given turns only, and a wrong angle, rate or sample rate changes it: "
-            f"with {per_dps:.4g} counts per deg/s, readings of 16 bit end at {range_dps:.4g} deg/s"
+        sentence = (
+            "The gyroscope scale depends on the given turns only, so a wrong angle, rate or sample rate changes it. "
+            f"With {per_dps:.4g} counts per deg/s, readings of 16 bit end at {range_dps:.4g} deg/s."
         )
-        yield finding(
-            "gyro.scale_factor", "warn" if range_dps < MIN_RANGE_DPS and largest < 2.0**15 else "info", what=what
-        )
+        level: Level = "warn" if range_dps < MIN_RANGE_DPS and largest < 2.0**15 else "info"
+        yield finding("gyro.scale_factor", level, sentence, CHECK_GYRO_SCALE)
 
 
 def force_words(median_g: float, spread_g: float) -> str:

@@ -84,11 +84,24 @@ def check_stills(session: Session, stills: tuple[Still, ...], *, listed: bool) -
         return ()
     ratio, number, what = max(faults)
     name = piece_name(session, stills[number], number, listed=listed)
-    moving = finding("session.piece", "warn", piece=name, pieces=len({still for _, still, _ in faults}), what=what)
+    moving = _piece_differs("warn", name, len({still for _, still, _ in faults}), f"it shows {what}")
     # Stills detected in a single recording may drift during warm-up. Separate recordings may have different units.
     if ratio > REFUSED_RATIO and (listed or len(session.records) > 1):
-        raise Implausible(f"{name}: expected a device at rest, got {what}; {moving.action}", still=number)
+        raise Implausible(f"{name}: expected a device at rest, got {what}. {moving.action}", still=number)
     return (moving,)
+
+
+def _piece_differs(level: Level, name: str, pieces: int, what: str, **values: float) -> Finding:
+    others = f" ({pieces} such pieces)" if pieces > 1 else ""
+    return finding(
+        "session.piece",
+        level,
+        f"{name} differs from its entry in the session{others}: {what}.",
+        "Correct its start_s and stop_s, or omit it. Check for a slow turn, a wrong unit, two devices or warm-up.",
+        piece=name,
+        pieces=pieces,
+        **values,
+    )
 
 
 def _sway(session: Session, stills: tuple[Still, ...], triad: Literal["gyro", "accel"]) -> Iterator[Fault]:
@@ -165,7 +178,7 @@ def check_turns(session: Session, stills: tuple[Still, ...], settle_s: float) ->
         fails, share, number, what = max(faults)
         name = piece_name(session, session.turns[number], number, what="turn")
         level: Level = "fail" if fails else "warn"
-        yield finding("session.piece", level, piece=name, pieces=len(faults), percent=100.0 * share, what=what)
+        yield _piece_differs(level, name, len(faults), what, percent=100.0 * share)
 
 
 def settling(length: int, settle_s: float, rate_hz: float) -> int:
@@ -220,6 +233,7 @@ def _smooth_rate(session: Session, stills: tuple[Still, ...], turn: Turn, settle
 LARGEST_ANGLE_DEG = 5.0  # largest angle between a sensor and its axis of the case (parts and boards: 1 to 3)
 WARN_MISS, FAIL_MISS = 3e-3 * STANDARD_GRAVITY, 20e-3 * STANDARD_GRAVITY  # m/s2 rms
 BEYOND_SIGMAS = 4.0  # limit in uncertainties (chance exceeds it in 1 of 16,000)
+CHECK_FACES = "Rest on flat faces of the case and check the label of each, or use all rests (`accel` multi-position)."
 MIN_MISSES = 2  # stills that fail: one may be no rest
 
 
@@ -229,10 +243,10 @@ def check_accel(session: Session, model: TriadModel, unused: Sequence[Still]) ->
     axis = int(np.argmax(angles))
     if angles[axis] > LARGEST_ANGLE_DEG:
         angle = told_apart(angles[axis], ".2g", LARGEST_ANGLE_DEG)
-        what = (
-            f"sensor {AXES[axis]} is {angle} deg off its axis of the case, {LARGEST_ANGLE_DEG:g} deg or less is usual"
+        sentence = (
+            f"Accelerometer {AXES[axis]} is {angle} deg off its axis of the case (limit {LARGEST_ANGLE_DEG:g} deg)."
         )
-        yield finding("accel.implausible", "fail", what=what, angle_deg=angles[axis])
+        yield finding("accel.implausible", "fail", sentence, CHECK_FACES, angle_deg=angles[axis])
     readings = [whole_readings(session.records[still.recording].accel, still.start, still.stop) for still in unused]
     stills = [still for still, window in zip(unused, readings, strict=True) if len(window) > 1]
     windows = [window for window in readings if len(window) > 1]
@@ -251,9 +265,11 @@ def check_accel(session: Session, model: TriadModel, unused: Sequence[Still]) ->
     misses = int((np.abs(miss) > BEYOND_SIGMAS * np.sqrt(variance)).sum())
     rms, worst = float(np.sqrt(np.mean(miss**2))), int(np.argmax(np.abs(miss)))
     if rms > WARN_MISS and misses:
-        what = (
-            f"{len(stills)} other rests miss gravity by {rms:.2g} m/s2 rms, {misses} of them by more than the "
-            f"uncertainty, the worst by {miss[worst]:+.2g} m/s2: {piece_name(session, stills[worst], worst, listed=False)}"
+        name = piece_name(session, stills[worst], worst, listed=False)
+        sentence = (
+            f"{len(stills)} rests that the fit did not use miss gravity by {rms:.2g} m/s2 rms, {misses} of them significantly. "
+            f"The worst is {name} with {miss[worst]:+.2g} m/s2."
         )
         level: Level = "fail" if rms > FAIL_MISS and misses >= MIN_MISSES else "warn"
-        yield finding("accel.implausible", level, what=what, stills=len(stills), beyond=misses, rms_m_s2=rms)
+        values = {"stills": len(stills), "beyond": misses, "rms_m_s2": rms}
+        yield finding("accel.implausible", level, sentence, CHECK_FACES, **values)

@@ -37,10 +37,10 @@ from undrift.calibration.plausibility import (
 )
 from undrift.calibration.session import Observed, Outcome, spans_of, with_offset
 from undrift.calibration.settings import Mode
-from undrift.calibration.sources import Creep, creep_of, gyro_drift, in_case, offset_drift, walks_of
+from undrift.calibration.sources import Creep, creep_of, gyro_drift, in_case, offset_drift, uncertain, walks_of
 from undrift.calibration.table import DwellMeans, dwell_means, imposed_rates, mountings, table_axes
 from undrift.errors import Implausible, NotObservable
-from undrift.findings import Finding, above, finding
+from undrift.findings import Finding, finding
 from undrift.fit.gls import GlsFit, Prior, block_size, fit_huber, noise_of_means, solve_inverse
 from undrift.fit.priors import (
     G_SENSITIVITY,
@@ -204,23 +204,23 @@ def _rate_across(dwells: DwellMeans) -> FloatArray:
 def _findings(model: TriadModel, fit: GlsFit, dwells: DwellMeans) -> Iterator[Finding]:
     yield from offset_drift(fit)
     yield from limited_by_codes("gyroscope", dwells.codes, np.diag(model.covariance)[9:12], dwells.unit)
-    uncertain = 100.0 * model.relative_uncertainty
-    texts = {
-        "what": "Gyroscope matrix",
-        "record": "turn at more rates, dwell longer, and check the residual of each dwell",
-    }
-    yield from above("session.uncertain", uncertain, UNCERTAIN_PERCENT, size=uncertain, unit="%", **texts)
+    percent = 100.0 * model.relative_uncertainty
+    action = "Turn at more rates, dwell longer, and check the residual of each dwell."
+    yield from uncertain("The gyroscope matrix", percent, UNCERTAIN_PERCENT, "%", action)
 
 
 def axes_missing(turn_axes: Sequence[str], unit: str, cross_axis_prior: float) -> Finding:
     """Return a finding about turns about one or two axes: elements that keep their prior, and its size."""
+    missing = tuple(axis for axis in AXES if axis not in turn_axes)
+    scale_percent = 100.0 * (SCALE_FACTOR if is_physical(unit) else SCALE_FACTOR_IN_COUNTS)
     return finding(
         "rate_table.axes_missing",
         "warn",
+        f"No turns about {', '.join(missing)}: scale (+- {scale_percent:g} %, 1 sigma) and cross-axis terms "
+        f"(0 +- {100.0 * cross_axis_prior:g} %) are nominal.",
+        f"Turn about {', '.join(missing)} as well.",
         turned=(*turn_axes,),
-        missing=tuple(axis for axis in AXES if axis not in turn_axes),
-        scale_percent=100.0 * (SCALE_FACTOR if is_physical(unit) else SCALE_FACTOR_IN_COUNTS),
-        cross_percent=100.0 * cross_axis_prior,
+        missing=missing,
     )
 
 

@@ -27,7 +27,7 @@ from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.plausibility import without_saturated
 from undrift.calibration.reference_windows import STRIDE_S, Recording, Solution, Windows, solve, window_equations
 from undrift.errors import AlignmentError, Implausible, InputError, NotObservable, check_choice
-from undrift.findings import Finding, finding
+from undrift.findings import Finding, finding, told_apart
 from undrift.fit.triad import TriadFit, triad_fit
 from undrift.frames import quaternion_of, quaternion_product
 from undrift.model import CODE_NAMES, MATRIX_NAMES, MOVING_NAMES, OFFSET_NAMES, AdcModel, TriadModel, Verdict
@@ -437,18 +437,36 @@ def _findings(model: TriadModel, nominal: FloatArray, rests: Sequence[FloatArray
     spread = np.sqrt(np.diag(jacobian @ model.covariance[:9, :9] @ jacobian.T)).reshape(3, 3)
     near_prior = is_physical(model.unit_in) & (spread > 0.5 * MATRIX_PRIOR).any(axis=0)
     if near_prior.any():
-        yield finding(
-            "motion.prior",
-            "warn",
-            triad="gyroscope",
-            axes=tuple(axis for axis, keeps in zip("xyz", near_prior, strict=True) if keeps),
-            uncertainty_percent=100.0 * MATRIX_PRIOR,
-            advice="also record turns about these axes of the device",
-        )
+        axes = tuple(axis for axis, keeps in zip("xyz", near_prior, strict=True) if keeps)
+        advice = "Also record turns about these axes of the device."
+        yield scale_keeps_prior("gyroscope", axes, MATRIX_PRIOR, advice)
     elif spread.max() > WANTED_MATRIX:
-        yield finding(
-            "reference.uncertainty", "warn", triad="gyroscope", uncertainty_percent=100.0 * float(spread.max())
-        )
+        yield matrix_uncertain("gyroscope", float(spread.max()), WANTED_MATRIX)
     spread_dps = float(np.std(rests, axis=0, ddof=1).max() * size / RADIAN_PER_DEGREE) if len(rests) > 1 else 0.0
     if spread_dps > WANTED_REST_DPS:
-        yield finding("reference.rest_offset", "warn", spread_dps=spread_dps)
+        spread_text = told_apart(spread_dps, ".3f", WANTED_REST_DPS)
+        yield finding(
+            "reference.rest_offset",
+            "warn",
+            f"The rest offset scatters by {spread_text} deg/s between recordings (limit {WANTED_REST_DPS:g} deg/s).",
+            "Warm the device up before each recording.",
+            spread_dps=spread_dps,
+        )
+
+
+def scale_keeps_prior(triad: str, axes: tuple[str, ...], uncertainty: float, action: str) -> Finding:
+    """Return a finding about scale factors that the motion does not determine, with the uncertainty that remains."""
+    percent = f"{100.0 * uncertainty:.2g} %"
+    sentence = f"The motion does not determine the scale of the {triad} for {', '.join(axes)}: +- {percent} (1 sigma) is assumed."
+    return finding("motion.prior", "warn", sentence, action, axes=axes)
+
+
+def matrix_uncertain(triad: str, uncertainty: float, limit: float) -> Finding:
+    """Return a finding about a matrix whose largest relative uncertainty exceeds its limit."""
+    percent = told_apart(100.0 * uncertainty, ".2g", 100.0 * limit)
+    return finding(
+        "reference.uncertainty",
+        "warn",
+        f"The matrix of the {triad} is uncertain by {percent} % in its largest element (1 sigma, limit {100.0 * limit:g} %).",
+        "Record longer: turn about every axis, and rest on all six sides of the device.",
+    )

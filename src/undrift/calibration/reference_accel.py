@@ -16,11 +16,12 @@ from undrift.arrays import FloatArray
 from undrift.calibration.codes import mean_rounding
 from undrift.calibration.plausibility import without_saturated
 from undrift.calibration.quality import whole_readings
+from undrift.calibration.reference import matrix_uncertain
 from undrift.calibration.session import Observed, spans_of
 from undrift.calibration.settings import CalibrateSettings
 from undrift.calibration.sources import creep_of, flicker_about_mean, in_case
 from undrift.errors import InputError, NotObservable
-from undrift.findings import Verdict, finding
+from undrift.findings import Verdict
 from undrift.fit.gls import block_size, noise_of_means, solve_inverse
 from undrift.fit.priors import ACCEL_FLICKER, REFERENCE_LEVEL
 from undrift.fit.triad import TriadFit, first_matrix, fit_of, parameters_of, scaled_condition
@@ -112,8 +113,7 @@ def fit_reference_accel(
     uncertainty = float((fitted.model.standard_uncertainty[:9] / np.linalg.norm(fitted.model.matrix, 2)).max())
     if uncertainty <= WANTED:
         return fitted
-    uncertain = finding("reference.uncertainty", "warn", triad="accelerometer", uncertainty_percent=100.0 * uncertainty)
-    return replace(fitted, verdict=Verdict.of(uncertain))
+    return replace(fitted, verdict=Verdict.of(matrix_uncertain("accelerometer", uncertainty, WANTED)))
 
 
 def _sources(

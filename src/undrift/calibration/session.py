@@ -15,7 +15,7 @@ import numpy as np
 from undrift import segments
 from undrift.arrays import FloatArray
 from undrift.calibration.codes import code_steps, code_variance, device_adc, restored
-from undrift.calibration.plausibility import SCALE_TOLERANCE
+from undrift.calibration.plausibility import SCALE_TOLERANCE, saturated
 from undrift.calibration.quality import (
     CUT_OFF_SHARE,
     SAME_TEMPERATURE_K,
@@ -42,6 +42,7 @@ FULL_TURN = 2.0 * np.pi  # rad
 FREE_POSES_SHARE = 0.1  # largest share of free poses among rests on faces
 CUT_OFF_S = 0.3  # a recording that turns throughout its last part is cut off
 ROOM_C = 25.0
+ONE_TEMPERATURE = "Record at one temperature, or fit tables over temperature with undrift drift."
 
 
 # ---- mean rate over several rests
@@ -103,15 +104,15 @@ def at_one_temperature(session: Session) -> tuple[Session, tuple[Finding, ...]]:
     if faces[nearest] < faces[fullest]:
         used |= (group == fullest) & np.array([piece_face is not None for piece_face in face])
     selected = [piece for piece, use in zip(pieces, used, strict=True) if use]
-    what = (
-        f"stills and turns in {len(counts)} groups from {means.min():.1f} to {means.max():.1f} degC; the {len(selected)} at "
-        f"{temps[used].mean():.1f} degC were used"
+    sentence = (
+        f"Stills and turns lie in {len(counts)} groups from {means.min():.1f} to {means.max():.1f} degC. Only the "
+        f"{len(selected)} at {temps[used].mean():.1f} degC were used."
     )
     return replace(
         session,
         stills=tuple(piece for piece in selected if isinstance(piece, Still)),
         turns=tuple(piece for piece in selected if isinstance(piece, Turn)),
-    ), (finding("session.temperature", "warn", what=what, groups=len(counts)),)
+    ), (finding("session.temperature", "warn", sentence, ONE_TEMPERATURE, groups=len(counts)),)
 
 
 def spans_of(records: Sequence[Record], pieces: Sequence[Still | Turn]) -> FloatArray:
@@ -253,9 +254,7 @@ class Observed:
             return self, ()
         names = tuple(piece_name(session, session.turns[k], k, what="turn") for k in numbers)
         sound = tuple(turn for k, turn in enumerate(session.turns) if k not in numbers)
-        omitted = finding(
-            "session.saturated", "warn", what="turns", count=len(numbers), of=len(session.turns), pieces=names
-        )
+        omitted = saturated("turns", len(numbers), len(session.turns), names)
         return replace(self, session=replace(session, turns=sound)), (omitted,)
 
 
@@ -278,7 +277,13 @@ def observe(session: Session, settings: CalibrateSettings) -> Observed:
     session = replace(session, records=tuple(restored(record, adc) for record in session.records))
     observed = look(session, settings)
     findings = [
-        finding("session.no_still", "warn", recording=number, reason=search.reason)
+        finding(
+            "session.no_still",
+            "warn",
+            f"Recording {number} has {search.reason}.",
+            "Support the device and hold each pose for 3 s or more.",
+            recording=number,
+        )
         for number, search in enumerate(observed.searches)
         if search.reason
     ]

@@ -77,7 +77,16 @@ def fit_six_face(poses: FaceMeans, *, gravity: float, mode: Mode = "affine") -> 
     if poses.rounding is not None and poses.noise is not None:
         findings += limited_by_codes("accelerometer", poses.rounding**2, (poses.noise**2).mean(axis=0), poses.unit)
     if tilt > TILT_LIMIT:
-        findings.append(finding("six_face.tilt", "warn", tilt_deg=tilt / RADIAN_PER_DEGREE))
+        tilt_deg = tilt / RADIAN_PER_DEGREE
+        findings.append(
+            finding(
+                "six_face.tilt",
+                "warn",
+                f"The faces are tilted by {tilt_deg:.2f} deg (1 sigma), which six faces do not separate from misaligned sensors.",
+                "Align the fixture, or rest in nine or more free poses.",
+                tilt_deg=tilt_deg,
+            )
+        )
     if mode == "paper":
         fit = fit_paper(inputs, poses.reading, gls, **names)
     else:
@@ -188,7 +197,10 @@ def calibrate_faces(observed: Observed, mode: str | None, accel: TriadFit | None
     poses = replace(poses, creep=creep_of(observed, stills, "accel"), placement=placement)
     findings = poses.creep.findings() if poses.creep else ()
     if poses.noise is None:
-        findings = (*findings, finding("six_face.short_faces", "warn"))
+        too_short = (
+            "Rests on the faces are too short to estimate their noise: the scatter of the residuals is used instead."
+        )
+        findings = (*findings, finding("six_face.short_faces", "warn", too_short, "Rest 6 s on each face."))
     if paper:
         # The mean over the six faces, each counted once, is an estimate of the offset, because opposite faces cancel.
         faces, rows = np.array(poses.faces), solve_faces(poses, gravity, "paper")

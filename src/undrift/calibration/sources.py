@@ -21,7 +21,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.quality import piece_temperatures
-from undrift.calibration.session import Observed, middles
+from undrift.calibration.session import ONE_TEMPERATURE, Observed, middles
 from undrift.findings import Finding, above, finding, told_apart
 from undrift.fit.gls import GlsFit
 from undrift.fit.priors import DRIFT_DPS, GYRO_FLICKER, REST_DRIFT
@@ -96,7 +96,21 @@ def offset_drift(fit: GlsFit) -> tuple[Finding, ...]:
     """Return a finding if the excess variances of ``walks_of`` show that an offset of the gyroscopes walked in the session."""
     walk = max((variance for kind, variance in fit.excess.items() if kind.startswith("instability")), default=0.0)
     dps = (60.0 * walk) ** 0.5 / RADIAN_PER_DEGREE
-    return above("session.offset_drift", dps, DRIFT_DPS, dps_per_minute=dps)
+    return above(
+        "session.offset_drift",
+        dps,
+        DRIFT_DPS,
+        f"The gyroscope offset walked by {told_apart(dps, '.2g', DRIFT_DPS[0])} deg/s in a minute (1 sigma, limit "
+        f"{DRIFT_DPS[0]:g}).",
+        "Warm the device up before, and rest before and after the turns.",
+        dps_per_minute=dps,
+    )
+
+
+def uncertain(what: str, size: float, limits: tuple[float, float], unit: str, action: str) -> tuple[Finding, ...]:
+    """Return a finding if a standard uncertainty, in a unit, exceeds the first of two limits."""
+    sentence = f"{what} has a standard uncertainty of {told_apart(size, '.2g', limits[0])} {unit} (limit {limits[0]:g} {unit})."
+    return above("session.uncertain", size, limits, sentence, action, size=size)
 
 
 # ---- jitter of the clock
@@ -155,8 +169,9 @@ class Creep:
         """Return a finding if the span is above the limit."""
         if self.span_k <= self.limit_k:
             return ()
-        what = f"by {told_apart(self.span_k, '.1f', self.limit_k)} K, limit {self.limit_k:g} K"
-        return (finding("session.temperature", "warn", what=what, span_k=self.span_k),)
+        span = told_apart(self.span_k, ".1f", self.limit_k)
+        sentence = f"The temperature changed by {span} K within the session (limit {self.limit_k:g} K)."
+        return (finding("session.temperature", "warn", sentence, ONE_TEMPERATURE, span_k=self.span_k),)
 
 
 def creep_of(observed: Observed, pieces: Sequence[Still | Turn], kind: Kind) -> Creep:

@@ -127,8 +127,7 @@ def check_agreement(record: Record) -> tuple[Finding, ...]:
     conflict = find_disagreement(record)
     if conflict is not None and conflict.level == "fail":
         raise Implausible(
-            f"gyroscope and accelerometer do not agree on one motion: {conflict.values['text']} ({conflict.detail}); "
-            f"{conflict.action}",
+            f"{conflict.sentence} {conflict.action}",
             **conflict.values,
         )
     return () if conflict is None else (conflict,)
@@ -185,15 +184,15 @@ def _disagreement(record: Record, unit_s: float) -> Finding | None:
         return None
     enough = contradicted or len(unchanged) >= FEWEST_WINDOWS[WINDOWS_S[0]]
     ordinary = enough and abs(windows.gravity / STANDARD_GRAVITY - 1.0) < 0.1
+    share, constant = 100.0 * np.sqrt(unchanged.mean()), 100.0 * np.sqrt(mistake.kept.mean())
     return finding(
         "record.triads_disagree",
         "fail" if gain >= CLEAR_GAIN and ordinary else "warn",
-        text=mistake.text,
-        action=mistake.action,
+        f"Gyroscope and accelerometer do not agree on one motion: {mistake.text}. "
+        f"With the rotation undone, gravity is constant to {share:.1f} %, and with this correction to {constant:.1f} %.",
+        mistake.action,
         sample_rate_hz=mistake.sample_rate_hz,
         turned_ratio=mistake.turned_ratio,
-        kept_percent=100.0 * np.sqrt(mistake.kept.mean()),
-        stated_percent=100.0 * np.sqrt(unchanged.mean()),
     )
 
 
@@ -214,7 +213,7 @@ class Mistake:
 def _time_mistake(windows: _Windows, unit_s: float) -> Mistake:
     name = TIME_UNITS[round(abs(math.log10(unit_s)))]
     text = f"time is in {name}, not seconds" if unit_s < 1.0 else f"time is in seconds, not {name}"
-    action = "correct the unit of time in the map or the column's name"
+    action = "Correct the unit of time in the map or the column's name."
     return Mistake(text=text, action=action, kept=windows.kept(np.eye(3), 1.0))
 
 
@@ -234,7 +233,7 @@ def _mistakes(windows: _Windows, record: Record) -> Iterator[Mistake]:
             else ""
         )
         text = f"{cause_by_gravity(reads)} (they read turns about the accelerometer axes {order_text(reads)}{alternatives})"
-        yield Mistake(text=text, action="correct the order or the sign of the columns", kept=residuals[best])
+        yield Mistake(text=text, action="Correct the order or the sign of the columns.", kept=residuals[best])
     yield from _scale_mistake(windows, record)
 
 
@@ -258,19 +257,19 @@ def _scale_mistake(windows: _Windows, record: Record) -> Iterator[Mistake]:
     for unit, text in UNITS.items():
         residuals = windows.kept(np.eye(3), unit)
         if max(scale / unit, unit / scale) < ORDINARY or residuals.mean() > means[best] - SAME:
-            action = "correct the unit of the gyroscope in the map or the columns' names"
+            action = "Correct the unit of the gyroscope in the map or the columns' names."
             yield Mistake(text=text, action=action, kept=residuals, turned_ratio=1.0 / unit)
             return
     text = f"turns {1.0 / scale:.3g} times as large as measured with gravity: "
     if scale < COUNTS:  # no person mistakes a sample rate by as much
         text += f"gyroscope is in counts, not deg/s or rad/s ({1.0 / scale:.3g} counts per declared unit)"
-        action = "give the sensitivity: unit count and its scale"
+        action = "Give the sensitivity: unit count and its scale."
     else:
         rate_hz = record.sample_rate_hz / scale
         text += (
             f"the file has {rate_hz:.3g} samples a second, {record.sample_rate_hz:.3g} were declared, or the gyroscope's range is "
             "another"
         )
-        action = "correct the sample rate, unit of time or sensitivity"
+        action = "Correct the sample rate, unit of time or sensitivity."
     residuals = windows.kept(np.eye(3), scale)
     yield Mistake(text=text, action=action, kept=residuals, sample_rate_hz=rate_hz, turned_ratio=1.0 / scale)

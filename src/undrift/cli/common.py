@@ -26,7 +26,7 @@ from cyclopts import App, Parameter
 
 from undrift import __version__
 from undrift.base.options import WRITTEN, Details, Json, Report
-from undrift.base.spoken import NAMED, showing, spoken
+from undrift.base.spoken import NAMED, showing, spoken, spoken_template
 from undrift.base.summary import Result, findings_of, plain
 from undrift.cli import examples
 from undrift.cli.app import COMMANDS
@@ -246,12 +246,14 @@ def show_verdict(verdict: "Verdict", heading: str, *, details: bool) -> None:
 
 def show_findings(findings: Iterable[Finding], *, details: bool) -> None:
     """Show the three most consequential findings, or all of them with details."""
-    texts = [(item.headline, item.detail, item.action) for item in most_consequential_first(findings)]
-    visible = texts if details else texts[:SHOWN_FIRST]
-    for headline, detail, action in visible:
-        say(f"  - {headline}", *([f"    {detail}"] if detail else []), *([f"    -> {action}"] if action else []))
-    if len(texts) > len(visible):
-        say(f"  {len(texts) - len(visible)} more: --details")
+    ordered = most_consequential_first(findings)
+    visible = ordered if details else ordered[:SHOWN_FIRST]
+    for item in visible:
+        say(f"  - {spoken_template(item.sentence)}")
+        if item.action:
+            say(f"    -> {spoken_template(item.action)}")
+    if len(ordered) > len(visible):
+        say(f"  {len(ordered) - len(visible)} more: --details")
 
 
 def show(summary: "Summary", *, details: bool) -> None:

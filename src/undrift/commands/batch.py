@@ -24,7 +24,7 @@ from undrift import __version__
 from undrift.commands.files import check_folder, files_in, is_recording, name_of, origin_of
 from undrift.errors import InputError, UndriftError
 from undrift.files import write_whole
-from undrift.findings import finding
+from undrift.findings import Finding, finding
 from undrift.io.formats import detect
 from undrift.report import Report, Table
 from undrift.screen import part, progress
@@ -202,10 +202,15 @@ def _report(title: str, rows: list[Row], before: int, others: list[str], output:
         ],
         details=[Table(title="Worst findings", columns=("recording", "finding"), rows=problems)],
         notes=[f"These files are not recordings: {', '.join(others)}."] if others else [],
-        findings=[finding("folder.failed", "fail", count=failed + bad, total=len(rows))] if failed + bad else [],
+        findings=[_failures(failed + bad, len(rows))] if failed + bad else [],
         written=[] if output is None else [output / SUMMARY],
         data={"recordings": len(rows), "failed": failed, "before": before},
     )
+
+
+def _failures(count: int, total: int) -> Finding:
+    sentence = f"{count} of {total} recordings failed or have a bad verdict."
+    return finding("folder.failed", "fail", sentence, "Read the table of recordings.")
 
 
 def _read(path: Path) -> dict[str, Row]:

@@ -228,9 +228,7 @@ def certificate_content(
         "limits": [*_limits(calibration, triads)],
         "verdict": calibration.verdict.status,
         "findings": [
-            ": ".join(sentence for sentence in (item.headline, item.detail) if sentence)
-            for item in most_consequential_first(calibration.verdict.findings)
-            if item.level != "info"
+            item.sentence for item in most_consequential_first(calibration.verdict.findings) if item.level != "info"
         ],
         "inputs": [list(pair) for pair in provenance.inputs],
         "software": ", ".join(f"{name} {version}" for name, version in provenance.versions) or f"undrift {__version__}",

@@ -243,7 +243,12 @@ def _signs(done: Record, model: Calibration) -> tuple[Finding, ...]:
     """Return signs that other columns or another unit were read than meant."""
     triads = (("gyroscope", model.gyro, done.gyro), ("accelerometer", model.accel, done.accel))
     missing = [
-        finding("correct.sensors_differ", "warn", what=f"no {name} in the recording. Check the names of the columns.")
+        finding(
+            "correct.sensors_differ",
+            "warn",
+            f"The recording has no {name}, and the calibration has one.",
+            "Check the names of the columns.",
+        )
         for name, triad, values in triads
         if triad is not None and values is None
     ]

@@ -324,7 +324,9 @@ def calibration_findings(model: Calibration | None) -> tuple[Finding, ...]:
     if model is None or model.verdict.status == "good":
         return ()
     status, count = model.verdict.status, sum(item.level != "info" for item in model.verdict.findings)
-    return (finding("calibration.verdict", "fail" if status == "bad" else "warn", status=status, count=count),)
+    sentence = f"The verdict of the calibration is {status}, with {count} findings."
+    action = "Run undrift info on the calibration to read them."
+    return (finding("calibration.verdict", "fail" if status == "bad" else "warn", sentence, action),)
 
 
 def worn_by(model: Calibration | None, forward: str | None, up: str | None) -> BodyMounting | None:

@@ -136,6 +136,7 @@ def _rotation_text(worn: "BodyMounting", before: "BodyMounting | None") -> "Verd
     ways = ("upside down", "left and right swapped", "front and back swapped")
     how = ", ".join(way for way, cosine in zip(ways, turn.diagonal()[::-1], strict=True) if cosine < -0.7) or "turned"
     against = "+x forward and +z up" if before is None else "the mounting before"
-    what, why = f"{how}, {degrees:.0f} deg off {against}", "if it was not meant so, turn it and record again"
-    look = finding("mount.look", "warn" if before else "info", what=what, why=why)
+    sentence = f"The device is {how}: {degrees:.0f} deg off {against}."
+    action = "Look at the device: if it was not meant so, turn it and record again."
+    look = finding("mount.look", "warn" if before else "info", sentence, action)
     return Verdict.of(*((look,) if degrees > 45.0 else ()))

@@ -18,9 +18,8 @@ from undrift.commands.files import (
     named_columns,
     worn_by,
 )
-from undrift.findings import finding
 from undrift.io.write import ORIENTATION_WRITERS, files_of, write_orientation
-from undrift.orientation import Orientation, OrientSettings
+from undrift.orientation import Orientation, OrientSettings, magnetometer_not_calibrated
 from undrift.orientation import orient as find_orientation
 from undrift.report import Report, Table
 from undrift.report.figures import draw_orientation
@@ -84,7 +83,7 @@ def orient(
     with named_columns(recording):
         record, findings, notes = corrected(record, recording, model, TableUse())
         if magnetometer and model is not None and model.magnetometer is None:
-            findings += (finding("orient.field", "warn"),)
+            findings += (magnetometer_not_calibrated(),)
         gyro_model = None if model is None else model.gyro
         orientation = find_orientation(record, rest.still_in(record), settings, gyro_model=gyro_model)
     angles = (orientation.inclination, orientation.heading, orientation.pitch)

@@ -74,9 +74,15 @@ def check_device(
     if not doubtful and not reversed_:
         return ()
     mg, dps = 1e-3 * STANDARD_GRAVITY, RADIAN_PER_DEGREE
-    values = {"left_mg": deviation["accel"] / mg, "usual_mg": expected["accel"] / mg, "rests": len(rests)}
-    values |= {"left_dps": deviation["gyro"] / dps, "usual_dps": expected["gyro"] / dps}
-    return (finding("correct.accel_reversed" if reversed_ else "correct.other_device", "warn", **values),)
+    force = f"|a| is off by {deviation['accel'] / mg:.3g} mg rms (usual: {expected['accel'] / mg:.2g})"
+    if reversed_:
+        sentence = f"Acceleration has the opposite sign of the calibration's recordings: at {len(rests)} rests {force}."
+        action = "Reverse the accelerometer columns: at rest the axis that points up reads +1 g."
+        return (finding("correct.accel_reversed", "warn", sentence, action),)
+    rate = f"the rate by {deviation['gyro'] / dps:.3g} deg/s (usual: {expected['gyro'] / dps:.2g})"
+    sentence = f"This may be the calibration of another device: at {len(rests)} rests {force} and {rate}."
+    action = "Name the calibration of this device, or calibrate it again."
+    return (finding("correct.other_device", "warn", sentence, action),)
 
 
 def _rms(values: FloatArray) -> float:

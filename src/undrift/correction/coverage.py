@@ -137,45 +137,65 @@ def coverage_findings(reach: Reach, calibration: Calibration) -> tuple[Finding, 
     """Return findings about readings beyond the tables, or beyond the temperatures of constant offsets."""
     drift, findings = calibration.drift, list[Finding]()
     if reach.seconds_without_temperature > 0.0:
-        findings.append(finding("correct.no_temperature", "warn", seconds=reach.seconds_without_temperature))
+        seconds = reach.seconds_without_temperature
+        sentence = f"The drift table has no temperature for {seconds:.1f} s, and the result is a gap (NaN) there."
+        findings.append(finding("correct.no_temperature", "warn", sentence, "Fill in the temperature."))
     if (seconds := reach.seconds_outside) > 0.0:
         low, high, lag_s = *reach.temp_c, drift.lag_s if drift else 0.0
-        numbers = f"{low:.1f} to {high:.1f} degC were recorded (thermometer lag subtracted: {lag_s:g} s)"
-        findings.append(_outside(f"{seconds:.1f} s outside the drift table", numbers, seconds=seconds))
+        lag = f", after subtraction of {lag_s:g} s of thermometer lag" if lag_s else ""
+        findings.append(
+            _outside(f"{seconds:.1f} s are outside the drift table: {low:.1f} to {high:.1f} degC were recorded{lag}.")
+        )
     if (seconds := reach.seconds_extrapolated) > 0.0:
-        numbers = "no data were recorded near these temperatures and rates"
-        findings.append(_outside(f"{seconds:.1f} s with an extrapolated drift table", numbers, seconds=seconds))
+        findings.append(
+            _outside(
+                f"The drift table is extrapolated for {seconds:.1f} s: it has no data near these temperatures and rates."
+            )
+        )
     if (departure := reach.departure_c) > REFERENCE_SPAN_C:
-        values = {"reference_c": calibration.reference_temp_c, "span_c": REFERENCE_SPAN_C}
-        findings.append(finding("correct.departure", "warn", departure_c=departure, **values))
+        size, reference_c = told_apart(departure, ".1f", REFERENCE_SPAN_C), calibration.reference_temp_c
+        sentence = f"The temperature departs by up to {size} degC from the reference, {reference_c:.1f} degC. Constant offsets are "
+        sentence += f"valid within {REFERENCE_SPAN_C:g} degC."
+        action = "Fit a drift table (undrift drift)."
+        findings.append(finding("correct.departure", "warn", sentence, action, departure_c=departure))
     rates = drift.dynamic.turn_rate if drift and drift.dynamic else None
     if rates is not None and (reach.turn_rate[0] < rates[0] or reach.turn_rate[1] > rates[-1]):
         least, greatest, first, last = np.degrees((*reach.turn_rate, rates[0], rates[-1]))
-        numbers = f"{told_apart(least, '.1f', first)} to {told_apart(greatest, '.1f', last)} deg/s were recorded. The table covers "
-        numbers += f"{told_apart(first, '.1f', least)} to {told_apart(last, '.1f', greatest)} deg/s, and its end values were used"
-        spans = {"least_dps": least, "greatest_dps": greatest}
-        findings.append(_outside("Turn rate outside the dynamic drift table", numbers, **spans))
+        recorded = f"{told_apart(least, '.1f', first)} to {told_apart(greatest, '.1f', last)} deg/s"
+        covered = f"{told_apart(first, '.1f', least)} to {told_apart(last, '.1f', greatest)} deg/s"
+        findings.append(
+            _outside(
+                f"The turn rates {recorded} are outside the dynamic drift table ({covered}). Its end values were used."
+            )
+        )
     return tuple(findings)
 
 
-def _outside(what: str, numbers: str, **values: float) -> Finding:
-    return finding("correct.outside", "warn", what=what, numbers=numbers, **values)
+def _outside(sentence: str) -> Finding:
+    return finding("correct.outside", "warn", sentence, "Extend the thermal session to these temperatures and rates.")
 
 
 def model_findings(record: Record, calibration: Calibration, carry: Carry) -> tuple[Finding, ...]:
     """Return findings about errors that the calibration does not correct, and about device names that differ."""
     findings = [
-        finding(
-            "correct.sensors_differ", "info", what=f"{triad.sensor} is not calibrated: nominal values were passed on"
-        )
+        finding("correct.sensors_differ", "info", f"The calibration has no {triad.sensor}: nominal values were used.")
         for triad, values in zip(calibration.triads, (record.gyro, record.accel), strict=True)
         if values is not None and triad.model is None
     ]
     if record.device and calibration.device and record.device != calibration.device:
-        findings.append(finding("correct.device", "warn", recorded=record.device, calibrated=calibration.device))
+        sentence = f"The recording is of device {record.device}, and the calibration is of device {calibration.device}."
+        findings.append(finding("correct.device", "warn", sentence, "Check that both belong together."))
     gyro, warm_up = calibration.gyro, calibration.triad("gyro").warm_up
     if record.gyro is not None and gyro is not None and warm_up is not None and carry.power_on_time is None:
         rates = warm_up.gyro_offset @ gyro.matrix.T * si_factor(gyro.unit_out, "rate")
         largest_dps, end_s = np.degrees(np.abs(rates).max()), warm_up.power_on_s[-1]
-        findings.append(finding("correct.warm_up", "info", largest_dps=largest_dps, end_s=end_s))
+        findings.append(
+            finding(
+                "correct.warm_up",
+                "info",
+                f"No warm-up was subtracted: up to {largest_dps:.2g} deg/s, zero from {end_s:g} s after power-on.",
+                "Correct the raw recording with `power_on_s`, the time from power-on to its first sample.",
+                largest_dps=largest_dps,
+            )
+        )
     return tuple(findings)

@@ -86,14 +86,22 @@ class RemainingOffset:
             ", ".join(f"{axis / RADIAN_PER_DEGREE:.{digits}g}" for axis in values)
             for values, digits in ((self.mean, 3), (self.deviation, 2))
         )
-        numbers = f"{rate} deg/s, which the calibration left, with a standard uncertainty of {uncertainty} deg/s"
+        sentence = f"The remaining offset was subtracted: {rate} deg/s on x, y, z, with a standard uncertainty of "
+        sentence += f"{uncertainty} deg/s."
         offset_dps = self.mean / RADIAN_PER_DEGREE
-        subtracted = finding("correct.offset_subtracted", "info", numbers=numbers, offset_dps=offset_dps)
+        subtracted = finding("correct.offset_subtracted", "info", sentence, offset_dps=offset_dps)
         if self.rest_s is not None or self.prior is None or not (self.deviation > KEPT * self.prior).any():
             return (subtracted,)
         open_axes = np.flatnonzero(self.deviation > KEPT * self.prior)
         axes, size = ", ".join("xyz"[k] for k in open_axes), float(self.prior[open_axes].max()) / RADIAN_PER_DEGREE
-        return subtracted, finding("correct.motion_offset_kept", "warn", axes=axes, prior_dps=size)
+        return subtracted, finding(
+            "correct.motion_offset_kept",
+            "warn",
+            f"The motion does not determine the gyroscope offset about {axes}. It was not subtracted there and is known to +- "
+            f"{size:.2g} deg/s.",
+            "Begin the recording with 6 s at rest.",
+            axes=axes,
+        )
 
 
 def moved_by(model: TriadModel | None) -> float:

@@ -24,12 +24,12 @@ from undrift.drift import observe
 from undrift.drift import temperature as thermometer
 from undrift.drift import verdict as judge
 from undrift.drift.accel import AccelDriftFit, fit_accel_drift
-from undrift.drift.observe import RateSteps, RestBlocks
+from undrift.drift.observe import RateSteps, RestBlocks, not_observable
 from undrift.drift.offset import StaticFit, StaticSettings, felt_by_gyro, fit_static
 from undrift.drift.rates import DynamicFit, ScaleFit, fit_dynamic, fit_scale, prepared
 from undrift.drift.temperature import LagFit
 from undrift.errors import InputError, NotObservable, check_choices
-from undrift.findings import Finding, finding
+from undrift.findings import Finding
 from undrift.fit.gls import determined
 from undrift.fit.priors import THERMOMETER_LAG
 from undrift.model import (
@@ -282,9 +282,7 @@ def _fit_rates(
     except NotObservable as error:
         what = "Scale and dynamic drift" if scale is None else "Dynamic drift"
         if tables != "none" and static.gyro is not None:
-            findings.append(
-                finding("drift.not_observable", "warn" if scale is None else "info", what=what, problem=str(error))
-            )
+            findings.append(not_observable("warn" if scale is None else "info", what, str(error)))
     verdict = Verdict.of(*findings)
     for fit, wanted in ((scale, "scale" in tables), (dynamic, True)):
         verdict = verdict.also(fit.verdict) if fit is not None and wanted else verdict
@@ -299,7 +297,7 @@ def _accelerometers(rests: RestBlocks, device: Calibration, nodes: FloatArray) -
         return fit_accel_drift(rests, device.accel, gravity=device.gravity_m_s2, temp_c=nodes), Verdict()
     except NotObservable as error:
         what = "Accelerometer matrix over temperature"
-        return None, Verdict.of(finding("drift.not_observable", "info", what=what, problem=str(error)))
+        return None, Verdict.of(not_observable("info", what, str(error)))
 
 
 def _tables(

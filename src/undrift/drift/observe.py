@@ -23,7 +23,7 @@ from undrift.arrays import FloatArray, IntArray
 from undrift.calibration.codes import code_steps, code_variance, restored
 from undrift.calibration.table import dwell_means
 from undrift.errors import InputError, NotObservable
-from undrift.findings import finding
+from undrift.findings import Finding, Level, finding
 from undrift.fit.gls import block_size
 from undrift.model import Calibration, TriadModel, Verdict
 from undrift.record import Record, Session, Still
@@ -411,7 +411,14 @@ def nominal_models(sessions: Sequence[Session]) -> Calibration:
         reference_temp_c=float("nan"),
         gravity_m_s2=first.gravity_m_s2,
         gyro=nominal_triad(unit, "rate"),
-        verdict=Verdict.of(finding("calibration.nominal", "warn")),
+        verdict=Verdict.of(
+            finding(
+                "calibration.nominal",
+                "warn",
+                "No calibration was given, so gyroscope scale and axes are nominal: rests cannot determine them.",
+                "Calibrate with turns at known rates or angles.",
+            )
+        ),
         file_map=first.file_map,
     )
 
@@ -448,3 +455,9 @@ def check_once(sessions: Sequence[Session]) -> None:
                     "would make the uncertainty too small."
                 )
             first[digest] = number
+
+
+def not_observable(level: Level, what: str, problem: str, action: str = "") -> Finding:
+    """Return a finding about a quantity that the sessions do not determine. A problem may already end in an action."""
+    sentence = f"{what} is not observable: {problem}"
+    return finding("drift.not_observable", level, sentence, action)

@@ -26,7 +26,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray
-from undrift.drift.observe import RestBlocks
+from undrift.drift.observe import RestBlocks, not_observable
 from undrift.errors import NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.curve import Cubics, Curve, NodeValues, fit_curve, not_a_knot
@@ -157,15 +157,23 @@ def fit_static(
             accel = _fit_accel(blocks, nodes, calibration, settings)
         except NotObservable as error:
             what = "Accelerometer offset over temperature"
-            findings.append(finding("drift.not_observable", "info", what=what, problem=str(error)))
+            findings.append(not_observable("info", what, str(error)))
     if accel is not None:
         findings += () if gyro is not None else accel.findings  # otherwise the gyroscopes report the same rests
-        values = {"poses": len(np.unique(blocks.pose)), "span_c": accel.span_c[1] - accel.span_c[0]}
-        findings.append(finding("drift.accel_one_pose", "info", **values, percent_per_c=100.0 * UNKNOWN_SCALE_PER_K))
+        span_c, percent_per_c = accel.span_c[1] - accel.span_c[0], 100.0 * UNKNOWN_SCALE_PER_K
+        findings.append(
+            finding(
+                "drift.accel_one_pose",
+                "info",
+                f"The accelerometer offset over {span_c:.1f} degC comes from one pose, so {percent_per_c:g} % of gravity per degC "
+                "counts as uncertainty of the scale.",
+                "Rest on all six faces at three temperatures.",
+            )
+        )
     if gyro is None and accel is None and settings.accel:
         raise NotObservable(
             "static drift: expected readings at two temperatures or more, got none. "
-            + "; ".join(item.text for item in findings)
+            + " ".join(item.text for item in findings)
         )
     columns = {
         f"{sensor}_{name}": getattr(triad, name)
@@ -264,19 +272,28 @@ def _fit_triad(
     direction, tau = cooling(blocks), None
     has_loop = both_ways(blocks, direction)
     if not has_loop:
-        findings.append(finding("drift.hysteresis_unknown", "warn", overlap_c=OVERLAP_C))
+        findings.append(
+            finding(
+                "drift.hysteresis_unknown",
+                "warn",
+                f"Warming and cooling did not pass the same {OVERLAP_C:g} degC: the uncertainty lacks hysteresis, warm-up and "
+                "lag of "
+                "the thermometer.",
+                "Record a warming and a cooling ramp over the same temperatures.",
+            )
+        )
     if settings.warm_up:
         try:
             tau = warm_up_time(blocks, offsets.value)
         except NotObservable as error:
-            findings.append(finding("drift.not_observable", "info", what="Warm-up", problem=str(error)))
+            findings.append(not_observable("info", "Warm-up", str(error)))
     columns = ([direction] if has_loop else []) + ([] if tau is None else [np.exp(-blocks.power_on_s / tau)])
     regressors = np.array(columns).reshape(-1, len(blocks)).T
     cells = cells_of(offsets, regressors, direction * has_loop, chunk_s=np.inf if tau is None else CHUNK_S)
     turn_on = between_sessions(cells, settings.lag_uncertainty_s)
     if turn_on is None:
-        problem = "it is not in the uncertainty. Record two sessions on two days, over the same temperatures."
-        findings.append(finding("drift.not_observable", "info", what="Turn-on bias repeatability", problem=problem))
+        what, action = "Turn-on bias repeatability", "Record two sessions on two days, over the same temperatures."
+        findings.append(not_observable("info", what, "it is not in the uncertainty.", action))
     curve = _fit_curve(cells, turn_on, settings.lag_uncertainty_s)
 
     # the curve at the nodes, at the temperatures of the blocks for its mean slope, and at the reference

@@ -32,7 +32,7 @@ from typing import Any
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray, interpolated
-from undrift.drift.observe import RateSteps
+from undrift.drift.observe import RateSteps, not_observable
 from undrift.drift.offset import known_variance, near_data
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
@@ -129,9 +129,9 @@ def prepared(steps: RateSteps, model: TriadModel, *, static: StaticDrift | None)
             "rate steps: no axis was turned at two rates in a soak. Turn about each axis in both directions."
         )
     lost = int((~finite).sum() + (~rows).sum())
-    left_out, why = (
-        f"{lost} of {len(steps)} rate steps",
-        "gaps in rate, reading or temperature, a single rate in a soak, or an axis between those of the case",
+    left_out = (
+        f"{lost} of {len(steps)} rate steps were left out: they have gaps, a single rate in a soak, or an axis between the axes of "
+        "the case."
     )
     return Steps(
         soak=soak,
@@ -141,7 +141,7 @@ def prepared(steps: RateSteps, model: TriadModel, *, static: StaticDrift | None)
         rate_b=usable.rate_b,
         reading=usable.gyro - _offset_at(usable.temp_c, model, static),
         variance=np.maximum(known_variance(usable.gyro_variance), (LEAST_DIGIT * np.abs(usable.gyro).max(axis=0)) ** 2),
-        findings=(finding("drift.left_out", "warn", what=left_out, why=why),) if lost else (),
+        findings=(finding("drift.left_out", "warn", left_out),) if lost else (),
     ).taken(rows)
 
 
@@ -208,8 +208,8 @@ def fit_scale(steps: Steps, model: TriadModel, *, temp_c: FloatArray) -> ScaleFi
 
 
 def _axis_not_turned(what: str) -> Finding:
-    problem = "it was not turned about this axis at two rates and two temperatures. Turn about it both ways at three soaks or more."
-    return finding("drift.not_observable", "warn", what=what, problem=problem)
+    problem = "the device was not turned about this axis at two rates and two temperatures."
+    return not_observable("warn", what, problem, "Turn about it both ways at three soaks or more.")
 
 
 def soak_matrices(steps: Steps, model: TriadModel) -> SoakMatrices:

@@ -35,7 +35,7 @@ from undrift.arrays import BoolArray, FloatArray, runs
 from undrift.drift.observe import RestBlocks
 from undrift.drift.offset import cooling
 from undrift.errors import InputError, NotObservable
-from undrift.findings import Finding, finding
+from undrift.findings import Finding, finding, told_apart
 from undrift.fit.curve import Cubics
 from undrift.record import Session, Still, Turn
 
@@ -144,13 +144,20 @@ def _column_temperature(
             temp_c[start:stop] = np.nan
     low, high = float(readings[used].min()), float(readings[used].max())
     if low > HOT_C:
-        problem = f"{low:.1f} to {high:.1f} degC throughout: a chamber, self-heating of a chip, degF read as degC, or a wrong scale"
-        findings.append(finding("drift.temperature_implausible", "warn", recording=index, problem=problem))
+        sentence = (
+            f"The temperature of recording {index} is {low:.1f} to {high:.1f} degC throughout, above room temperature."
+        )
+        action = "Check for degF read as degC or a wrong scale (units.temp, scale.temp). A chamber or a warm chip is no error."
+        findings.append(finding("drift.temperature_implausible", "warn", sentence, action))
     differences = [(float(np.nanmedian(readings[p])) - c, c) for p, c in set_points if np.isfinite(readings[p]).any()]
     difference, set_point = max(differences, key=lambda pair: abs(pair[0]), default=(0.0, 0.0))
     if abs(difference) > OFF_SET_POINT_C:
-        problem = f"{difference:+.1f} degC from the set-point of {set_point:.1f} degC, over {OFF_SET_POINT_C:g} degC"
-        findings.append(finding("drift.temperature_implausible", "warn", recording=index, problem=problem))
+        size = told_apart(difference, "+.1f", OFF_SET_POINT_C)
+        sentence = (
+            f"The temperature of recording {index} is {size} degC from the set-point of {set_point:.1f} degC (limit "
+        )
+        sentence += f"{OFF_SET_POINT_C:g} degC)."
+        findings.append(finding("drift.temperature_implausible", "warn", sentence, "Check units.temp and scale.temp."))
     return Temperature(
         time=time,
         temp_c=temp_c,

@@ -20,12 +20,12 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.plausibility import check_axis_order
-from undrift.drift.observe import RateSteps, RestBlocks
+from undrift.drift.observe import RateSteps, RestBlocks, not_observable
 from undrift.drift.offset import StaticFit, TriadDrift, specific_force, split_by
 from undrift.drift.rates import ScaleFit
 from undrift.drift.temperature import LagFit, Temperature
 from undrift.errors import Implausible
-from undrift.findings import finding
+from undrift.findings import finding, told_apart
 from undrift.model import Calibration, TriadModel, Verdict, level_of
 from undrift.record import Session, TemperatureSensitivity
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
@@ -93,8 +93,13 @@ def turns_verdict(scale: ScaleFit | None, device: Calibration) -> Verdict:
     level = level_of(float(np.abs(deviation).max() - allowed), SCALE_OFF)
     if level == "info" or device.gyro.method == "nominal":
         return Verdict()
+    limit_percent = 100.0 * SCALE_OFF[0]
+    sizes = ", ".join(told_apart(100.0 * size, ".3g", limit_percent) for size in deviation)
+    sentence = (
+        f"Scale factors from the turns differ from the calibration by {sizes} % on x, y, z (limit {limit_percent:g} %)."
+    )
     return Verdict.of(
-        finding("drift.scale_differs", level, percent=100.0 * deviation, limit_percent=100.0 * SCALE_OFF[0])
+        finding("drift.scale_differs", level, sentence, "Check turn_rate_dps, the range setting and the device.")
     )
 
 
@@ -116,14 +121,20 @@ def offsets_verdict(static: StaticFit, device: Calibration, gravity_rate: FloatA
     if not ((excess > TURN_ON_DPS) & (np.abs(deviation) > SIGNIFICANT * uncertainty)).any():
         return Verdict()
     is_large = ((excess > FAR_DPS) & (np.abs(deviation) > CERTAIN * uncertainty)).any()
-    values = {
-        "temp_c": float(nodes[node]),
-        "offset_dps": deviation,
-        "uncertainty_dps": uncertainty,
-        "turn_on_dps": TURN_ON_DPS,
-    }
+    sizes = ", ".join(told_apart(size, "+.3g", TURN_ON_DPS) for size in deviation)
+    sigmas = ", ".join(f"{sigma:.2g}" for sigma in uncertainty)
     cause = _guess_unit(offset[node] + gravity_rate, model.offset + gravity_rate)
-    return Verdict.of(finding("drift.offset_differs", "fail" if is_large else "warn", **values, cause=cause))
+    return Verdict.of(
+        finding(
+            "drift.offset_differs",
+            "fail" if is_large else "warn",
+            f"The offset at {nodes[node]:.1f} degC differs from the calibration by {sizes} deg/s on x, y, z (+- {sigmas}), "
+            "beyond the "
+            f"{TURN_ON_DPS:g} deg/s of a switch-on{cause}.",
+            "Check which device was recorded, or calibrate again.",
+            offset_dps=deviation,
+        )
+    )
 
 
 def gravity_verdict(rests: RestBlocks, device: Calibration) -> Verdict:
@@ -148,13 +159,16 @@ def gravity_verdict(rests: RestBlocks, device: Calibration) -> Verdict:
     usual_mg = float(np.sqrt(1e6 * np.sum(sigma_terms**2) / gravity**2 + LEFT_ACCEL_MG**2 + drift_mg**2))
     if miss_mg <= SIGNIFICANT * usual_mg:
         return Verdict()
-    values = {
-        "temp_c": float(rests.temp_c[near_reference].mean()),
-        "poses": len(poses),
-        "miss_mg": miss_mg,
-        "usual_mg": usual_mg,
-    }
-    return Verdict.of(finding("drift.accel_differs", "fail" if miss_mg > CERTAIN * usual_mg else "warn", **values))
+    temp_c = rests.temp_c[near_reference].mean()
+    return Verdict.of(
+        finding(
+            "drift.accel_differs",
+            "fail" if miss_mg > CERTAIN * usual_mg else "warn",
+            f"With the calibration, {len(poses)} poses near {temp_c:.1f} degC miss gravity by {miss_mg:.0f} mg rms "
+            f"(usual: {usual_mg:.0f} mg).",
+            "Check the calibration file, the unit, the range setting and the device.",
+        )
+    )
 
 
 def _guess_unit(reading: FloatArray, constant: FloatArray) -> str:
@@ -163,7 +177,7 @@ def _guess_unit(reading: FloatArray, constant: FloatArray) -> str:
     same_direction = np.linalg.norm(reading - ratio * constant) <= 0.2 * np.linalg.norm(reading)
     for factor, text in ((1.0 / RADIAN_PER_DEGREE, "deg/s, not rad/s"), (RADIAN_PER_DEGREE, "rad/s, not deg/s")):
         if same_direction and abs(ratio / factor - 1.0) < 0.2:
-            return f"; the offset is {ratio:.3g} times the calibration's on every axis: gyroscope is in {text}"
+            return f". It is {ratio:.3g} times the offset of the calibration on every axis: gyroscope is in {text}"
     return ""
 
 
@@ -172,10 +186,8 @@ def _guess_unit(reading: FloatArray, constant: FloatArray) -> str:
 
 def lag_verdict(lag: LagFit) -> Verdict:
     """Return a finding if the lag is not observable."""
-    problem = (
-        "it is not separate from hysteresis. Record ramps up and down at two speeds, for example 0.5 and 3 degC/min."
-    )
-    missing = finding("drift.not_observable", "info", what="Thermometer lag", problem=problem)
+    action = "Record ramps up and down at two speeds, for example 0.5 and 3 degC/min."
+    missing = not_observable("info", "Thermometer lag", "it is not separate from hysteresis.", action)
     return Verdict() if np.isfinite(lag.uncertainty_s) else Verdict.of(missing)
 
 
@@ -183,23 +195,33 @@ def rests_verdict(sessions: Sequence[Session], rests: RestBlocks, steps: RateSte
     """Return a finding about recordings that do not contribute to the fit, because they never rest."""
     used = {*rests.session.tolist(), *steps.session.tolist()}
     names = [s.inputs[0][0] if s.inputs else f"session {k + 1}" for k, s in enumerate(sessions) if k not in used]
-    why = f"no rest in {', '.join(names[:5])}. Let the device rest for ten seconds in each"
-    return (
-        Verdict.of(finding("drift.left_out", "warn", what=f"{len(names)} recordings", why=why)) if names else Verdict()
-    )
+    sentence = f"{len(names)} recordings have no rest and were left out: {', '.join(names[:5])}."
+    left_out = finding("drift.left_out", "warn", sentence, "Let the device rest for ten seconds in each.")
+    return Verdict.of(left_out) if names else Verdict()
 
 
 def static_verdict(static: StaticFit, device: Calibration, temperatures: Sequence[Temperature]) -> Verdict:
     """Return the verdict of the offsets, with findings about temperatures, a narrow span and bends."""
     findings = [*static.verdict.findings, *(item for temperature in temperatures for item in temperature.findings)]
     if all(temperature.source == "set-points" for temperature in temperatures):
-        findings.append(finding("drift.set_points_only", "warn"))
+        findings.append(
+            finding(
+                "drift.set_points_only",
+                "warn",
+                "No recording has a temperature column, so the tables are over set-points. A device thermometer reads otherwise.",
+                "Map the temperature column, also in recordings to correct.",
+            )
+        )
     triad = static.gyro
     if triad is None:
         return Verdict.of(*findings)
     (low_c, high_c), share = triad.span_c, float(triad.extrapolated.mean())
     if share > MOST_EXTRAPOLATED or high_c - low_c < NARROW_C:
-        findings.append(finding("drift.narrow_span", "warn", low_c=low_c, high_c=high_c, percent=100.0 * share))
+        sentence = f"The temperatures cover {low_c:.1f} to {high_c:.1f} degC only, and {100.0 * share:.0f} % of the nodes have "
+        sentence += "no data "
+        sentence += "near them."
+        action = "Record over the temperatures of use, 20 K or more."
+        findings.append(finding("drift.narrow_span", "warn", sentence, action))
     return Verdict.of(*findings).also(bends_verdict(triad, device.gyro))
 
 
@@ -227,5 +249,13 @@ def bends_verdict(triad: TriadDrift, model: TriadModel | None) -> Verdict:
         worst = max(worst, (float(miss[k]), float(points[k + 1]), float(np.abs(bend[k]).max())))
     if worst[0] < LEAST_MISS_DPS:
         return Verdict()
-    values = {"miss_dps": worst[0], "temp_c": worst[1], "bend": worst[2], "limit": MOST_BEND}
-    return Verdict.of(finding("drift.bends", "warn", **values))
+    miss_dps, temp_c, largest_bend = worst
+    return Verdict.of(
+        finding(
+            "drift.bends",
+            "warn",
+            f"The offset at {temp_c:.1f} degC is {miss_dps:.2g} deg/s off the line between its neighbours: it bends by "
+            f"{told_apart(largest_bend, '.2g', MOST_BEND)} (deg/s)/K2 (limit {MOST_BEND:g}).",
+            "Check for two devices, set-points in a wrong order or a slow turn, and record that soak again.",
+        )
+    )

@@ -71,7 +71,15 @@ def check_gravity(record: Record) -> Iterator[Finding]:
         factor, direction = (1.0 / median, "small") if small else (median, "large")
         units = "g, not m/s2" if small else "m/s2, not g"
         cause = f": acceleration is in {units}" if abs(factor / STANDARD_GRAVITY - 1.0) < 0.2 else ""
-        yield finding("recording.gravity", "warn", median_g=median, factor=factor, direction=direction, cause=cause)
+        yield finding(
+            "recording.gravity",
+            "warn",
+            f"The median acceleration is {median:.3g} g where a body at rest reads 1 g ({factor:.3g} times too "
+            f"{direction}){cause}.",
+            "Correct units.accel or scale.accel in the map.",
+            median_g=median,
+            direction=direction,
+        )
 
 
 def _rest(record: Record) -> Iterator[Finding]:
@@ -87,8 +95,19 @@ def _rest(record: Record) -> Iterator[Finding]:
         best = int(np.nanargmin(spread))
         mean = float(np.linalg.norm(blocks[best].mean(axis=0)))
         if mean >= REST_TURN_RATE and spread[best] <= 0.1 * mean:
-            quiet_s = record.time[best * size]
-            yield finding("recording.rest_rate", "warn", turn_rate_dps=mean / RADIAN_PER_DEGREE, at_s=quiet_s)
+            quiet_s, rate_dps = record.time[best * size], mean / RADIAN_PER_DEGREE
+            yield finding(
+                "recording.rest_rate",
+                "warn",
+                f"The gyroscope reads {rate_dps:.3g} deg/s in its quietest two seconds (at {quiet_s:.6g} s): it turns "
+                "steadily, or its "
+                "unit or scale is wrong.",
+                "Check units.gyro and scale.gyro in the map.",
+                turn_rate_dps=rate_dps,
+            )
+
+
+CHECK_TEMPERATURE = "Check the column, unit and scale of the temperature in the map."
 
 
 def _temperature(record: Record) -> Iterator[Finding]:
@@ -96,46 +115,60 @@ def _temperature(record: Record) -> Iterator[Finding]:
         return
     temp = record.temp_c[np.isfinite(record.temp_c)]
     if not len(temp):
-        yield finding("recording.temperature", "info", what="its column is empty")
+        yield finding("recording.temperature", "info", "The temperature column is empty.", CHECK_TEMPERATURE)
         return
     low, high = float(temp.min()), float(temp.max())
     if low > ROOM_C[1] or high < ROOM_C[0]:
-        what = f"{low:.1f} to {high:.1f} degC is not room temperature: processor, chamber, or wrong scale"
-        yield finding("recording.temperature", "warn", what=what, low_c=low, high_c=high)
+        sentence = f"The temperature is {low:.1f} to {high:.1f} degC: a processor, a chamber, or a wrong scale."
+        yield finding("recording.temperature", "warn", sentence, CHECK_TEMPERATURE, low_c=low, high_c=high)
     jumps = np.flatnonzero(np.abs(np.diff(temp)) > JUMP_C)
     if len(jumps):
-        what = f"it jumps by over {JUMP_C:g} K between samples, {len(jumps)} times, first after sample {jumps[0]}"
-        yield finding("recording.temperature", "warn", what=what, count=len(jumps), first_sample=jumps[0])
+        sentence = f"The temperature jumps by over {JUMP_C:g} K between samples {len(jumps)} times, first after sample {jumps[0]}."
+        values = {"count": len(jumps), "first_sample": jumps[0]}
+        yield finding("recording.temperature", "warn", sentence, CHECK_TEMPERATURE, **values)
 
 
 def _sampling(time: FloatArray) -> Iterator[Finding]:
     stamps = host_stamps(time)
     if stamps is not None:
         fit = stamps.fit
-        values = {"low_ms": stamps.low_ms, "high_ms": stamps.high_ms, "jitter_ms": 1e3 * fit.jitter_s}
-        values |= {"sample_rate_hz": fit.sample_rate_hz, "gaps": fit.gaps, "missing": fit.missing}
-        yield finding("recording.host_clock", "warn", **values, longest_s=fit.longest_step_s)
+        yield finding(
+            "recording.host_clock",
+            "warn",
+            f"The time stamps are the host's (steps of {stamps.low_ms:.3g} to {stamps.high_ms:.3g} ms). A regular clock of "
+            f"{fit.sample_rate_hz:.5g} Hz fits, with stamps up to {1e3 * fit.jitter_s:.3g} ms late and {fit.missing} samples "
+            "missing.",
+            "Read it with clock = 'regular' in a map.",
+            sample_rate_hz=fit.sample_rate_hz,
+            jitter_ms=1e3 * fit.jitter_s,
+            gaps=fit.gaps,
+            missing=fit.missing,
+        )
         return
     steps = np.diff(time)
     low, middle, high = np.quantile(steps, 0.25), float(np.median(steps)), np.quantile(steps, 0.75)
     if high - low > UNEVEN * middle:
-        numbers = f"half of the steps lie outside {1e3 * low:.4g} to {1e3 * high:.4g} ms"
-        yield finding("recording.uneven_sampling", "warn", what="Uneven sampling", numbers=numbers)
+        sentence = f"The sampling is uneven: half of the steps lie outside {1e3 * low:.4g} to {1e3 * high:.4g} ms."
+        yield finding("recording.uneven_sampling", "warn", sentence)
     lost = steps > 1.5 * middle
     if lost.any():
         count, longest_s, longest_start_s = int(lost.sum()), steps.max(), time[int(steps.argmax())]
-        numbers = f"{count}, the longest {longest_s:.4g} s at {longest_start_s:.6g} s"
-        numbers += f" (median step {1e3 * middle:.4g} ms, mean rate {(len(time) - 1) / (time[-1] - time[0]):.4g} Hz)"
-        yield finding(
-            "recording.uneven_sampling", "warn", what="Drop-outs", numbers=numbers, count=count, longest_s=longest_s
-        )
+        sentence = f"The recording has {count} drop-outs, the longest {longest_s:.4g} s at {longest_start_s:.6g} s (median step "
+        sentence += f"{1e3 * middle:.4g} ms, mean rate {(len(time) - 1) / (time[-1] - time[0]):.4g} Hz)."
+        yield finding("recording.uneven_sampling", "warn", sentence, count=count, longest_s=longest_s)
 
 
 def _axes(channel: str, values: FloatArray) -> Iterator[Finding]:
     for axis, column in zip(AXES, values.T, strict=True):
         column = column[np.isfinite(column)]
         if len(column) >= 2 * STUCK and column.min() == column.max():
-            yield finding("recording.dead_axis", "warn", channel=channel, axis=axis)
+            yield finding(
+                "recording.dead_axis",
+                "warn",
+                f"{channel} {axis} never changes: the axis is dead or not mapped.",
+                channel=channel,
+                axis=axis,
+            )
 
 
 # ---- readings at the end of the range
@@ -148,8 +181,10 @@ def find_saturated(record: Record) -> tuple[Finding, ...]:
         for axis, column in () if values is None else zip(AXES, values.T, strict=True):
             for limit, stuck in saturated_runs(column):
                 longest = (stuck[:, 1] - stuck[:, 0]).max()
-                item = {"channel": channel, "axis": axis, "reading": limit, "count": longest}
-                symptoms.append(finding("recording.saturated", "warn", **item))
+                sentence = f"{channel} {axis} is saturated: it stays at {limit:.6g} for {longest} samples in a row."
+                symptoms.append(
+                    finding("recording.saturated", "warn", sentence, channel=channel, axis=axis, count=longest)
+                )
     return tuple(symptoms)
 
 
@@ -277,26 +312,33 @@ def describe(path: str | Path, column_map: ColumnMap | None = None, *, up: Up | 
         names = sniff(path).names if name == "csv" else parquet_names(path)
         unread = tuple(other for other in names if other not in description.columns)
         if unread:
-            what = f"Columns not read, as they are not undrift's own names: {', '.join(unread[:12])}. Read them with a column map."
-            unread_finding = finding("recording.how_read", "info", what=what)
+            sentence = f"These columns have other names than undrift's and were not read: {', '.join(unread[:12])}."
+            unread_finding = finding("recording.how_read", "info", sentence, "Read them with a column map.")
             description = replace(description, findings=(*description.findings, unread_finding))
     return description
+
+
+def _rows_left_out(count: int, why: str) -> Finding:
+    return finding("recording.rows_left_out", "warn", f"{count} rows were left out, because {why}.", count=count)
 
 
 def describe_record(read: ReadResult, *, path: str = "", format_name: str = "csv") -> Description:
     """Return a description of a record."""
     record, mean, usual = read.record, mean_rate_hz(read.record), read.record.sample_rate_hz
-    left_out = [finding("recording.how_read", "info", what=note) for note in read.notes]
+    left_out = [finding("recording.how_read", "info", note) for note in read.notes]
     for count, why in (
         (read.dropped_rows, "they did not parse"),
         (read.repaired_rows, "their time did not go forward"),
     ):
-        left_out += [finding("recording.rows_left_out", "warn", count=count, why=why)] if count else []
+        left_out += [_rows_left_out(count, why)] if count else []
     if read.clock is not None:
-        clock, by = read.clock, "the device's counter" if read.clock.counted else "steps of the stamps"
-        what = f"Regular clock of {clock.sample_rate_hz:.6g} Hz: stamps up to {1e3 * clock.jitter_s:.3g} ms late; "
-        what += f"{clock.missing} samples missing in {clock.gaps} gaps of up to {clock.longest_step_s:.3g} s, by {by}"
-        left_out.append(finding("recording.how_read", "info", what=what))
+        clock, by = read.clock, "the device's counter" if read.clock.counted else "the steps of the stamps"
+        sentence = f"A regular clock of {clock.sample_rate_hz:.6g} Hz was fitted to {by}: stamps are up to "
+        sentence += f"{1e3 * clock.jitter_s:.3g} ms "
+        sentence += (
+            f"late, {clock.missing} samples are missing in {clock.gaps} gaps of up to {clock.longest_step_s:.3g} s."
+        )
+        left_out.append(finding("recording.how_read", "info", sentence))
     rate = f"{mean:.6g} Hz"
     if abs(mean / usual - 1.0) >= _REGULAR:
         rate = f"{mean:.4g} Hz on average (usual step {1e3 / usual:.4g} ms, {usual:.4g} Hz)"
@@ -397,7 +439,7 @@ def _one_axis(width: int) -> str:
 
 
 def _not_read(path: Path, name: str, columns: tuple[str, ...], what: str, *, missing: str = "") -> Description:
-    findings = (finding("recording.not_read", "warn", what=what, missing=missing),)
+    findings = (finding("recording.not_read", "warn", what, missing=missing),)
     return Description(path=str(path), kind="table", format=name, summary=what, columns=columns, findings=findings)
 
 
@@ -439,12 +481,13 @@ def _markers(path: Path, name: str, up: Up | None) -> Description:
         if error.numbers.get("missing") != "up":
             raise
         markers = read_markers(path, up="z")
-        findings.append(finding("recording.up_axis", "warn"))
+        sentence, action = "The file does not state which axis points up.", 'State up = "y" or "z" to read it.'
+        findings.append(finding("recording.up_axis", "warn", sentence, action))
     gap: BoolArray = np.any(np.isnan(markers.points), axis=2)
     never = [label for k, label in enumerate(markers.labels) if gap[:, k].all()]
     if markers.short_rows:
         why = "they end before the last marker, which is read as lost"
-        findings.append(finding("recording.rows_left_out", "warn", count=markers.short_rows, why=why))
+        findings.append(_rows_left_out(markers.short_rows, why))
     remark = f" ({', '.join(never)} never seen)" if never else ""
     return Description(
         path=str(path),

@@ -13,7 +13,7 @@ from itertools import count
 from pathlib import Path
 
 from undrift import __version__
-from undrift.base.spoken import showing, spoken
+from undrift.base.spoken import showing, spoken, spoken_template
 from undrift.base.summary import Drawing, Origin, Section, Summary, at, sentence
 from undrift.files import write_whole
 from undrift.findings import SHOWN_FIRST, Finding, most_consequential_first
@@ -79,6 +79,7 @@ def write_page(path: Path, summary: Summary, origin: Origin | None = None) -> No
             inlined=lambda picture: _inline(_draw(picture), next(number), set(re.findall(r"--c([0-9a-f]{6}):", style))),
             origin=origin or Origin(),
             spoken=spoken,
+            told=spoken_template,
             versions=_versions(),
         )
     write_whole(path, text.lstrip())

@@ -14,7 +14,7 @@ import numpy as np
 
 from undrift.base.clock import Clock
 from undrift.errors import InputError, RigTimeout, check_positive
-from undrift.findings import finding
+from undrift.findings import finding, told_apart
 from undrift.model import Verdict
 from undrift.rig.lock import uninterrupted
 from undrift.rig.rig import Position, Rig, ServoReport, achieved_turn_rate
@@ -113,7 +113,14 @@ def _run_wave(rig: ServoRig, clock: Clock, settings: CheckSettings, report: Repo
     if not rates:
         raise RigTimeout("rig check: no position was read at steady rate. Check the link and the table.")
     largest = max(*steady, abs(rig.following_error()))
-    numbers = {"largest_deg": largest / RADIAN_PER_DEGREE, "limit_deg": settings.limit / RADIAN_PER_DEGREE}
+    largest_deg, limit_deg = largest / RADIAN_PER_DEGREE, settings.limit / RADIAN_PER_DEGREE
+    failed = finding(
+        "rig_check.error",
+        "fail",
+        f"The following error is up to {told_apart(largest_deg, '.4f', limit_deg)} deg at steady rate (limit {limit_deg:g} deg).",
+        "Check friction, load and gains of the table.",
+        largest_deg=largest_deg,
+    )
     return RigCheck(
         identity=identity,
         servo=servo,
@@ -121,5 +128,5 @@ def _run_wave(rig: ServoRig, clock: Clock, settings: CheckSettings, report: Repo
         largest=largest,
         in_run_up=max(in_run_up, default=math.nan),
         turn_rate=float(np.mean(rates)),
-        verdict=Verdict.of(*([finding("rig_check.error", "fail", **numbers)] if largest > settings.limit else [])),
+        verdict=Verdict.of(*([failed] if largest > settings.limit else [])),
     )

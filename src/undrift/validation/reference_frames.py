@@ -76,7 +76,15 @@ def check_reference(record: Record, poses: Reference, lag_s: float) -> tuple[Fin
         if texts:
             raise _implausible(poses, ", or ".join(texts), "Convert them, or name their order in the map of the file.")
     if share > UNLIKE:
-        return (finding("validate.rates_differ", "warn", percent=100.0 * share),)
+        return (
+            finding(
+                "validate.rates_differ",
+                "warn",
+                f"Device and reference do not turn alike: {100.0 * share:.0f} % of the squared rates remain. The "
+                "reference is of another segment or trial, or the device moves on the body.",
+                "Check that the reference belongs to this body and this trial.",
+            ),
+        )
     if record.accel is None:
         return ()
 
@@ -96,7 +104,10 @@ def check_reference(record: Record, poses: Reference, lag_s: float) -> tuple[Fin
     if angle > CLEARLY:
         action = "Name the axis of the laboratory that points up (`reference_up`, or up in the map of a table)"
         raise _implausible(poses, text, f"{action}, or correct the sign of the columns.")
-    return (finding("validate.not_up", "warn", angle_deg=angle / RADIAN_PER_DEGREE, text=text),)
+    sentence = f"Gravity is {angle / RADIAN_PER_DEGREE:.0f} deg off the vertical of the reference: {text}."
+    return (
+        finding("validate.not_up", "warn", sentence, "Check the axis that points up, the columns and the mounting."),
+    )
 
 
 def _implausible(poses: Reference, text: str, action: str) -> Implausible:

@@ -346,8 +346,10 @@ def validate_trial(
     after = (reference.time >= stop_s) & (reference.time < stop_s + END_S)
     if not motion.rested:
         after = moving & (reference.time >= stop_s - END_S)
-        what = f"orientation starts at {track[0][0]:.1f} s from the reference, over {START_S:g} s, and end errors are from the "
-        rest_findings += (finding("validate.no_rest", "info", what=what + "last seconds of the motion"),)
+        sentence = f"The recording has no rest before the motion: orientation starts at {track[0][0]:.1f} s from {START_S:g} s "
+        sentence += "of the "
+        sentence += "reference, and end errors are from the last seconds of the motion."
+        rest_findings += (finding("validate.no_rest", "info", sentence, RECORD_REST),)
     compared = moving & np.isfinite(error.total)
     figures = Figures(
         lag_ms=lag.seconds * 1e3,
@@ -439,6 +441,9 @@ def _check_scale(name: str, lag: Lag) -> None:
         )
 
 
+RECORD_REST = "Record a pause at rest, or determine the offset from motion (`offset` motion)."
+
+
 def _without_offset(
     record: Record, offset: OffsetChoice, model: TriadModel | None
 ) -> tuple[Record, RemainingOffset | None, tuple[Finding, ...]]:
@@ -450,8 +455,8 @@ def _without_offset(
     except InputError as error:
         if error.numbers.get("missing") != "rest":
             raise
-        what = "the offset of the gyroscopes is not removed, but it can be determined from motion"
-        return record, None, (finding("validate.no_rest", "warn", what=what),)
+        sentence = "The recording has no rest before the motion, so the offset of the gyroscopes is not removed."
+        return record, None, (finding("validate.no_rest", "warn", sentence, RECORD_REST),)
     return replace(record, gyro=np.asarray(record.gyro) - remainder.at(record.time)), remainder, ()
 
 

@@ -51,9 +51,8 @@ def _remarks(answer: Mapping[str, Any]) -> Iterator[tuple[str, Remark]]:
     """Yield each remark with its whole text."""
     lists = {key: value for key, value in answer.items() if isinstance(value, list)}
     for finding in lists.get("findings", ()):
-        action, full_text = str(finding.get("action") or ""), str(finding["text"])
-        text = full_text.removesuffix(action).rstrip("; ")
-        yield full_text, Remark(level=finding.get("level") or "info", text=text, action=action)
+        action, text = str(finding.get("action") or ""), str(finding["text"])
+        yield f"{text} {action}".rstrip(), Remark(level=finding.get("level") or "info", text=text, action=action)
     for key in ("notes", "problems"):
         for full_text in lists.get(key, ()):
             yield str(full_text), Remark(level="info", text=str(full_text))

@@ -318,7 +318,7 @@ def remarks_list(remarks: Sequence[Remark]) -> None:
                 text("strong", f"{texts()['levels'][remark.level]}: ")
                 text("span", page_words(remark.text).rstrip(".") + ".")
                 if action := page_words(remark.action):
-                    text("p", f"{sentence(action)}.", "soft")
+                    text("p", sentence(action), "soft")
     if len(remarks) > count:
         with folded(f"{len(remarks) - count} more"):
             for remark in remarks[count:]:
