@@ -31,14 +31,12 @@ def test_two_devices_are_calibrated_in_the_time_of_one_each_to_its_own_truth(tmp
             output=tmp_path / f"with-{number}",
             yes=True,
         )
-        minutes.append(ran.result.duration_s / 60.0)
-    assert (ran.output.name, [path.name for path in ran.others]) == ("device-1", ["device-2"])
-    summary = ran.summary()
-    assert summary.answer.endswith("device-2: 30 dwells of another device")
-    assert [path.parent.name for path in summary.sources] == ["device-1", "device-2"]
-    (beside,) = summary.data["others"]
-    assert beside["dwells"] == 30
-    for device, folder in ((first, ran.output), (second, *ran.others)):
+        minutes.append(ran.data["duration_s"] / 60.0)
+    folders = [path.parent for path in ran.written]
+    assert [folder.name for folder in folders] == ["device-1", "device-2"]
+    (others,) = [table for table in ran.tables if table.title == "Other devices on the table"]
+    assert [row[1] for row in others.rows] == [30]
+    for device, folder in zip((first, second), folders, strict=True):
         session = read_session(folder)
         assert session.serial == device.serial
         found, true = calibrate(session), true_calibration(device)
@@ -51,7 +49,7 @@ def test_two_devices_are_calibrated_in_the_time_of_one_each_to_its_own_truth(tmp
         assert max(off) < 3e-3  # as one device alone: tests/commands/test_rig.py
     with capsys.disabled():
         print(f"one device {minutes[0]:.1f} min, two at once {minutes[1]:.1f} min of the table")
-    assert ran.result.added == beside["dwells"] == 30
+    assert ran.data["added"] == 30
     assert minutes[1] == pytest.approx(minutes[0], rel=0.01)  # one course of the table for both
 
 

@@ -18,14 +18,15 @@ from undrift.calibration.settings import CalibrateSettings
 from undrift.cli.app import run
 from undrift.commands.calibrate import judge_pieces, leverages
 from undrift.commands.pieces import pieces_of
-from undrift.commands.rig import Ran
+from undrift.commands.rig import run_report
 from undrift.io.formats import write_record
 from undrift.io.reference import write_reference
 from undrift.io.session import read_session, write_session
 from undrift.io.store import read_calibration
 from undrift.record import Record
 from undrift.report.figures import AXIS_COLOURS, AXIS_DASHES, AXIS_MARKERS, COMPARED_COLOURS, COMPARED_MARKERS
-from undrift.report.page import write_page
+from undrift.report.page import write_report
+from undrift.report.report import Report
 from undrift.rig.folder import RecordedDwell
 from undrift.rig.run import RunResult
 from undrift.sim.motion.bench import BenchSettings
@@ -74,11 +75,11 @@ def make_pages(folder: Path) -> None:
             assert run([name, *shlex.split(words), "--report", f"{name}.html"]) in (0, 1), name
         assert run(["calibrate", "session", "--report", "again.html"]) in (0, 1)
         origin = Origin(command="undrift rig run", inputs=(("protocol.toml", "0" * 64),))
-        write_page(Path("rig.html"), rig_run().summary(), origin)
+        write_report(Path("rig.html"), rig_run(), origin)
     (folder / "cut.json").write_text(json.dumps(cut))
 
 
-def rig_run() -> Ran:
+def rig_run() -> Report:
     """Return what a run of a rate table came to."""
     turns = [
         RecordedDwell(
@@ -89,7 +90,7 @@ def rig_run() -> Ran:
         for k, rate in enumerate((-90.0, -45.0, 45.0, 90.0, 30.0, -30.0))
     ]  # fmt: skip
     result = RunResult(pieces=tuple(turns), added=6, duration_s=40.0, rig="a table")
-    return Ran(output=Path("run"), result=result)
+    return run_report(Path("run"), result, ())
 
 
 @pytest.mark.slow

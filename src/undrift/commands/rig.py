@@ -1,34 +1,44 @@
 """``undrift rig run | stop | check``: a protocol on a rate table, and the table itself.
 
-A run shows where it is, and asks its operator, on a ``Screen``.
+A run shows its position on the screen, and asks its operator there.
 """
 
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
+import numpy as np
 from cyclopts import Parameter
 
-from undrift.base.options import Output, options, verb
-from undrift.base.summary import Cells, Result, Section, Summary, figure_of, plus_minus, table_section
-from undrift.commands import Screen
+from undrift.base.options import Output, options
 from undrift.commands.files import device_at
 from undrift.errors import InputError
+from undrift.live.recorder import DwellReadings, Recorder, RecorderSettings
+from undrift.live.transports import source_at
+from undrift.plugins import split_address
+from undrift.programme import Programme, ProgrammeSettings, Soak, forecast_of, programme_of, read_protocol
+from undrift.report import Estimate, Report, Table
+from undrift.report.figures import draw_rig_run
+from undrift.rig.chamber import ChamberSetup, Readings, open_chamber
+from undrift.rig.check import CheckSettings, check_rig
+from undrift.rig.folder import RecordedDwell, RunFolder
+from undrift.rig.judge import RunSettings
+from undrift.rig.lock import one_run, stop_rig, stopping_on_signals
+from undrift.rig.manual import AskedOperator
+from undrift.rig.rig import Limits, RigSettings, check_programme, open_rig, parse_address
+from undrift.rig.run import Mounted, Progress, RigBench, RunResult, run_programme
+from undrift.rig.simulated import SimulatedBench, SimulatedSettings
+from undrift.screen import screen
+from undrift.sim.device.presets import PRESETS, random_device
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
-
-if TYPE_CHECKING:
-    from undrift.programme import Forecast, Programme
-    from undrift.rig.chamber import Readings
-    from undrift.rig.check import CheckSettings, RigCheck
-    from undrift.rig.folder import RecordedDwell, RunFolder
-    from undrift.rig.rig import RigSettings
-    from undrift.rig.run import Mounted, Progress, RigBench, RunResult
-    from undrift.rig.simulated import SimulatedBench
 
 TableAddress: TypeAlias = Annotated[str, Parameter(help="Address of the table.")]
 
 
+DWELL_COLUMNS = (
+    "dwell", "purpose", "up", "samples", "missing", "nominal (deg/s)", "achieved (deg/s)", "temperature (degC)"
+)  # fmt: skip
 HIGHEST_DPS, HIGHEST_DPS2 = 360.0, 5000.0  # default limits for a table without other limits
 
 
@@ -45,71 +55,14 @@ class Shaft:
 
     travel_deg: float | None = None
 
-    def settings(self, turn_rate_dps: float, acceleration_dps2: float) -> "RigSettings":
+    def settings(self, turn_rate_dps: float, acceleration_dps2: float) -> RigSettings:
         """Return the settings of a table with its limits."""
-        from undrift.rig.rig import Limits, RigSettings
-
         dps = RADIAN_PER_DEGREE
         travel = None if self.travel_deg is None else self.travel_deg * dps
         limits = Limits(turn_rate=turn_rate_dps * dps, acceleration=acceleration_dps2 * dps, travel=travel)
         return RigSettings(limits=limits)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Ran(Result):
-    """A protocol run on a rate table."""
-
-    output: Path  # Folder of the run
-    result: "RunResult"
-    others: tuple[Path, ...] = ()  # Folders of the other devices on the table
-
-    def summary(self) -> Summary:
-        """Return the number of dwells, and the largest difference of achieved rates from nominal rates."""
-        result, dps = self.result, RADIAN_PER_DEGREE
-        turns = [piece for piece in result.pieces if piece.purpose == "rate"]
-        missing = sum(piece.missing for piece in result.pieces)
-        off = max((abs(piece.turn_rate - piece.nominal_turn_rate) for piece in turns), default=0.0) / dps
-        rows = [
-            {"axis": turn.axis, "nominal_dps": turn.nominal_turn_rate / dps, "achieved_dps": turn.turn_rate / dps}
-            | {"standard_uncertainty_dps": turn.turn_rate_uncertainty / dps}
-            | {"temp_c": turn.temp_c if turn.device_c is None else turn.device_c, "missing_readings": turn.missing}
-            for turn in turns
-        ]
-        data = {"folder": str(self.output), "rig": result.rig, "dwells": len(result.pieces), "added": result.added}
-        beside = tuple(zip(self.others, result.others, strict=True))
-        data |= (
-            {"others": [{"folder": str(path), "dwells": len(turn.pieces)} for path, turn in beside]} if beside else {}
-        )
-        achieved = {turn.name: plus_minus(turn.turn_rate / dps, turn.turn_rate_uncertainty / dps) for turn in turns}
-        cells: Cells[RecordedDwell] = (
-            ("dwell", lambda piece: piece.name),
-            ("purpose", lambda piece: piece.purpose),
-            ("up", lambda piece: piece.up),
-            ("samples", lambda piece: str(piece.samples)),
-            ("missing", lambda piece: str(piece.missing)),
-            ("nominal (deg/s)", lambda piece: f"{piece.nominal_turn_rate / dps:+g}" if piece.purpose == "rate" else ""),
-            ("achieved (deg/s)", lambda piece: achieved.get(piece.name, "")),
-            ("temperature (degC)", lambda piece: "" if piece.device_c is None else f"{piece.device_c:.2f}"),
-        )
-        return Summary(
-            title=f"Rig run: {self.output.name}, on {result.rig}",
-            answer=(
-                f"{self.output}: {len(result.pieces)} dwells, {result.added} of them now, in "
-                f"{_clock(result.duration_s)}. Achieved rates differ from nominal ones by up to {off:.3g} deg/s and "
-                f"are stored in session.toml, "
-                f"{missing} "
-                "readings missing"
-                + "".join(f", {path}: {len(beside_run.pieces)} dwells of another device" for path, beside_run in beside)
-            ),
-            data=data | {"duration_s": result.duration_s, "missing_readings": missing, "turns": rows},
-            pictures=(figure_of("figures:draw_rig_run", turns),) if turns else (),
-            sections=(table_section("Dwells", result.pieces, cells, on="page"),),
-            sources=tuple(path / "session.toml" for path in (self.output, *self.others)),
-            next=("calibrate", self.output, "-o", "calibration.json"),
-        )
-
-
-@verb
 def run(
     protocol: Path,
     /,
@@ -126,8 +79,7 @@ def run(
     device_lag_s: float = 120.0,
     resume: bool = False,
     yes: bool = False,
-    screen: Screen = Screen(),
-) -> Ran:
+) -> Report:
     """Run a protocol. After every dwell, the folder is a session for calibrate and drift.
 
     Parameters
@@ -163,18 +115,12 @@ def run(
     yes : bool
         Start without asking.
     """
-    from undrift.programme import ProgrammeSettings, programme_of, read_protocol
-    from undrift.rig.folder import RunFolder
-    from undrift.rig.judge import RunSettings
-    from undrift.rig.lock import one_run, stopping_on_signals
-    from undrift.rig.rig import check_programme, parse_address
-    from undrift.rig.run import run_programme
 
     protocol_content, settings = (
         read_protocol(protocol),
         shaft.settings(highest_turn_rate_dps, highest_acceleration_dps2),
     )
-    display, judge = _Shown(screen), RunSettings(device_lag_s=device_lag_s)
+    display, judge = _Display(), RunSettings(device_lag_s=device_lag_s)
     kind, _, options = parse_address(rig, replace(settings, ask=display.ask))
     settings, limits, by_hand = (
         replace(settings, ask=display.ask, clock=options.clock),
@@ -201,19 +147,51 @@ def run(
         first.serial = serial or first.serial
         how: dict[str, Any] = {"serial": first.serial, "gravity_m_s2": gravity_m_s2, "settings": judge}
         result = run_programme(programme, bench, first.folder, report=display, others=others, **how)
-    return Ran(output=first.folder.path, result=result, others=tuple(paths.values())[1:])
+    return run_report(first.folder.path, result, tuple(paths.values())[1:])
 
 
-def forecast(protocol: Path, rig: str) -> "Forecast":
-    """Return the duration of `run` for a protocol, within the default limits of a table. Nothing is opened."""
-    from undrift.programme import ProgrammeSettings, forecast_of, programme_of, read_protocol
-    from undrift.rig.rig import check_programme, parse_address
+def run_report(folder: Path, result: RunResult, others: tuple[Path, ...]) -> Report:
+    """Return the number of dwells, and the largest difference of achieved rates from nominal rates."""
+    turns = [piece for piece in result.pieces if piece.purpose == "rate"]
+    difference = max((abs(turn.turn_rate - turn.nominal_turn_rate) for turn in turns), default=0.0)
+    missing = sum(piece.missing for piece in result.pieces)
+    answer = (
+        f"{len(result.pieces)} dwells are in {folder}, {result.added} of them recorded now, in {_clock(result.duration_s)}. "
+        f"Achieved rates differ from nominal rates by up to {difference / RADIAN_PER_DEGREE:.3g} deg/s. "
+        f"{missing} readings are missing."
+    )
+    runs = list(zip(others, result.others, strict=True))
+    tables = [
+        Table(title="Dwells", columns=DWELL_COLUMNS, rows=[_dwell_row(piece) for piece in result.pieces], form=".2f")
+    ]
+    if runs:
+        rows = [(str(path), len(run.pieces)) for path, run in runs]
+        tables.append(Table(title="Other devices on the table", columns=("folder", "dwells"), rows=rows))
+    return Report(
+        title=f"Rig run: {folder.name}, on {result.rig}",
+        answer=answer,
+        tables=tables[1:],
+        details=tables[:1],
+        figures=[lambda: draw_rig_run(turns)] if turns else [],
+        written=[path / "session.toml" for path in (folder, *others)],
+        data={
+            "rig": result.rig,
+            "dwells": len(result.pieces),
+            "added": result.added,
+            "duration_s": result.duration_s,
+            "missing_readings": missing,
+        },
+        next_command=("calibrate", folder, "-o", "calibration.json"),
+    )
 
-    lines = parse_address(rig)[2].encoder_lines
-    programme = programme_of(read_protocol(protocol), ProgrammeSettings(encoder_lines=lines))
-    limits = Shaft().settings(HIGHEST_DPS, HIGHEST_DPS2).limits
-    check_programme(programme, limits, by_hand=rig.startswith("manual:"))
-    return forecast_of(programme)
+
+def _dwell_row(piece: RecordedDwell) -> tuple[Any, ...]:
+    rates: tuple[Any, ...] = (None, None)
+    if piece.purpose == "rate":
+        achieved = Estimate(piece.turn_rate / RADIAN_PER_DEGREE, piece.turn_rate_uncertainty / RADIAN_PER_DEGREE)
+        rates = (piece.nominal_turn_rate / RADIAN_PER_DEGREE, achieved)
+    temp_c = piece.temp_c if piece.device_c is None else piece.device_c
+    return (piece.name, piece.purpose, piece.up, piece.samples, piece.missing, *rates, temp_c)
 
 
 def _folders(output: Path, device: str | tuple[str, ...], serial: str) -> dict[str, Path]:
@@ -228,14 +206,9 @@ def _folders(output: Path, device: str | tuple[str, ...], serial: str) -> dict[s
 
 
 def _simulated_bench(
-    device: str | tuple[str, ...], addresses: tuple[str, str | None], options: "RigSettings", gravity_m_s2: float | None
-) -> "SimulatedBench | None":
+    device: str | tuple[str, ...], addresses: tuple[str, str | None], options: RigSettings, gravity_m_s2: float | None
+) -> SimulatedBench | None:
     """Create a simulated bench if the table is simulated. All parts of a bench must be simulated, or none."""
-    import numpy as np
-
-    from undrift.plugins import split_address
-    from undrift.rig.simulated import SimulatedBench, SimulatedSettings
-    from undrift.sim.device.presets import PRESETS, random_device
 
     devices = (device,) if isinstance(device, str) else device
     texts = [text for text in (*addresses, *devices) if text is not None]
@@ -268,10 +241,9 @@ def _simulated_bench(
 
 
 def _parts_of_simulated_bench(
-    bench_parts: "SimulatedBench", folders: "list[RunFolder]", *, with_chamber: bool
-) -> "tuple[RigBench, list[Mounted]]":
+    bench_parts: SimulatedBench, folders: list[RunFolder], *, with_chamber: bool
+) -> tuple[RigBench, list[Mounted]]:
     """Return the parts of a simulated bench for a run, and its devices with their folders."""
-    from undrift.rig.run import Mounted, RigBench
 
     chamber = bench_parts.chamber if with_chamber else None
     bench = RigBench(
@@ -287,11 +259,8 @@ def _parts_of_simulated_bench(
     ]
 
 
-def _connect(stack: ExitStack, address: str, folder: "RunFolder", programme: "Programme") -> "Mounted":
+def _connect(stack: ExitStack, address: str, folder: RunFolder, programme: Programme) -> Mounted:
     """Connect a device."""
-    from undrift.live.recorder import DwellReadings, Recorder, RecorderSettings
-    from undrift.live.transports import source_at
-    from undrift.rig.run import Mounted
 
     source, longest_s = source_at(address), max(dwell.duration_s for dwell in programme.dwells)
     recorder = Recorder(source, RecorderSettings(keep_s=max(600.0, 2.0 * longest_s)))
@@ -303,20 +272,15 @@ def _connect(stack: ExitStack, address: str, folder: "RunFolder", programme: "Pr
 
 def _bench(
     stack: ExitStack,
-    readings: "Readings",
+    readings: Readings,
     addresses: tuple[str, str | None],
-    settings: "RigSettings",
-    display: "_Shown",
-    programme: "Programme",
+    settings: RigSettings,
+    display: "_Display",
+    programme: Programme,
     *,
     resume: bool,
-) -> "RigBench":
+) -> RigBench:
     """Connect chamber, operator and, last, the table."""
-    from undrift.programme import Soak
-    from undrift.rig.chamber import ChamberSetup, open_chamber
-    from undrift.rig.manual import AskedOperator
-    from undrift.rig.rig import open_rig, parse_address
-    from undrift.rig.run import RigBench
 
     rig, chamber = addresses
     clock = parse_address(rig, settings)[2].timing
@@ -333,15 +297,15 @@ def _bench(
     return RigBench(rig=table, readings=readings, mounting=mounting, chamber=oven, clock=clock)
 
 
-class _Shown:
+class _Display:
     """Shows on a screen where a run is, and asks its operator there."""
 
-    def __init__(self, screen: Screen) -> None:
-        self._screen, self.ask = screen, screen.ask
+    def __init__(self) -> None:
+        self._screen = screen()
+        self.ask = self._screen.ask
 
-    def plan(self, programme: "Programme", done: frozenset[int], yes: bool) -> None:
+    def plan(self, programme: Programme, done: frozenset[int], yes: bool) -> None:
         """Show how long each step and the whole takes, and ask whether to start."""
-        from undrift.programme import forecast_of
 
         remaining = forecast_of(programme, done)
         steps = ((number, step) for number, step in enumerate(programme.steps) if number not in done)
@@ -357,7 +321,7 @@ class _Shown:
         if not yes:
             raise InputError("rig run: the start was not confirmed, and nothing moved. Answer y, or use `yes`.")
 
-    def __call__(self, progress: "Progress") -> None:
+    def __call__(self, progress: Progress) -> None:
         """Update the position of the run. In a log, a step is a single line, printed when it has readings."""
         line = f"[{progress.number + 1}/{progress.steps}] {_clock(progress.left_s)} left  {progress.step}, {progress.phase}"
         logged = bool(progress.live) or progress.phase in ("mounting", "closing")
@@ -365,58 +329,13 @@ class _Shown:
         self._screen.over(f"{line}  {progress.live}".rstrip(), step=step, last=progress.phase == "closing")
 
 
-@verb
-def stop(*, rig: TableAddress) -> Summary:
+def stop(*, rig: TableAddress) -> Report:
     """End the run on this computer that drives a table, stop the table and switch its motor off."""
-    from undrift.rig.lock import stop_rig
-
     stop_rig(rig)
     data = {"rig": rig, "stopped": True, "motor_on": False}
-    return Summary(title="A table stopped", answer=f"{rig}: at rest, motor off", data=data)
+    return Report(title="A table stopped", answer=f"{rig}: at rest, motor off.", data=data)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Accepted(Result):
-    """A checked table. The verdict contains the result."""
-
-    rig: str  # Its address
-    settings: "CheckSettings"
-    found: "RigCheck"
-
-    def summary(self) -> Summary:
-        """Return the following error with its limit, and the servo's gains and sample period."""
-        from undrift.io.store import verdict_json
-
-        result, settings, dps = self.found, self.settings, RADIAN_PER_DEGREE
-        servo, verdict = result.servo, verdict_json(result.verdict)
-        rms_deg, max_deg, limit_deg = result.rms / dps, result.largest / dps, settings.limit / dps
-        lines = (
-            f"following error {rms_deg:.4f} deg rms, {max_deg:.4f} deg at most at steady rate, limit {limit_deg:g} deg",
-            f"gains KP {servo.kp:g}, KD {servo.kd:g}, KI {servo.ki:g}, sample period {1e6 * servo.sample_s:g} us",
-        )
-        wave = {"seconds": settings.duration_s, "turn_rate_dps": settings.turn_rate / dps}
-        wave |= {"achieved_dps": result.turn_rate / dps, "acceleration_dps2": settings.acceleration / dps}
-        errors = {"rms": rms_deg, "max": max_deg, "limit_deg": limit_deg, "run_up_max": result.in_run_up / dps}
-        return Summary(
-            title="Acceptance of a table",
-            answer=f"{result.identity}: step wave of {settings.turn_rate / dps:g} deg/s for {settings.duration_s:g} s",
-            sections=(Section(title="Following error and servo", text=lines),),
-            verdict=result.verdict,
-            data={
-                "kind": "undrift.rig_check",
-                "format": 1,
-                "rig": self.rig,
-                "identity": result.identity,
-                "wave": wave,
-                "error_deg": errors | {"pass": result.largest <= settings.limit},
-                "servo": asdict(servo),
-                "verdict": verdict,
-                "findings": verdict["findings"],
-            },
-        )
-
-
-@verb
 def check(
     *,
     rig: str,
@@ -425,8 +344,7 @@ def check(
     acceleration_dps2: float = 2300.0,
     limit_deg: float = 0.012,
     shaft: Shaft = Shaft(),
-    screen: Screen = Screen(),
-) -> Accepted:
+) -> Report:
     """Check a table with a servo: following error in a step wave, with gains and sample period. The table turns.
 
     Parameters
@@ -442,9 +360,6 @@ def check(
     limit_deg : float
         Largest following error at steady rate, deg. If it is exceeded, the exit code is 1.
     """
-    from undrift.rig.check import CheckSettings, check_rig
-    from undrift.rig.lock import one_run, stopping_on_signals
-    from undrift.rig.rig import open_rig, parse_address
 
     rig_settings = shaft.settings(turn_rate_dps, acceleration_dps2)
     settings = CheckSettings(
@@ -461,8 +376,40 @@ def check(
         stack.enter_context(stopping_on_signals())
         table = open_rig(rig, replace(rig_settings, accept="on"))
         stack.callback(table.close)
-        result = check_rig(table, rig_settings.timing, settings, screen.over)
-    return Accepted(rig=rig, settings=settings, found=result)
+        result = check_rig(table, rig_settings.timing, settings, screen().over)
+    rms_deg, largest_deg = result.rms / RADIAN_PER_DEGREE, result.largest / RADIAN_PER_DEGREE
+    return Report(
+        title="Acceptance of a table",
+        answer=f"{result.identity}: the following error in a step wave of {turn_rate_dps:g} deg/s for {seconds:g} s is "
+        f"{largest_deg:.4f} deg at most (limit {limit_deg:g} deg).",
+        tables=[
+            Table(
+                title="Following error (deg)",
+                columns=("rms", "largest at steady rate", "limit", "largest in the run-ups"),
+                rows=[(rms_deg, largest_deg, limit_deg, result.in_run_up / RADIAN_PER_DEGREE)],
+                form=".4f",
+            ),
+            Table(
+                title="Servo",
+                columns=("KP", "KD", "KI", "sample period (us)"),
+                rows=[(result.servo.kp, result.servo.kd, result.servo.ki, 1e6 * result.servo.sample_s)],
+                form="g",
+            ),
+        ],
+        findings=result.verdict.findings,
+        judged=True,
+        data={
+            "rig": rig,
+            "identity": result.identity,
+            "wave": {
+                "seconds": seconds,
+                "turn_rate_dps": turn_rate_dps,
+                "achieved_dps": result.turn_rate / RADIAN_PER_DEGREE,
+                "acceleration_dps2": acceleration_dps2,
+            },
+            "servo": asdict(result.servo),
+        },
+    )
 
 
 def _clock(seconds: float) -> str:
