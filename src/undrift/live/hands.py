@@ -32,10 +32,12 @@ from undrift.record import FACES, Axis, Face
 from undrift.sim.device.causal import Seen, SimulatedDevice
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device
-from undrift.sim.motion.motion import SMOOTH, UNEVEN, facing, turn_quaternion, unit_vector
+from undrift.sim.motion.motion import facing, turn_quaternion, unit_vector
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 # random motion of the hands, drawn for each move (all values are choices)
+SMOOTH = Polynomial([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])  # 0 to 1, first and second derivatives vanish at both ends
+UNEVEN = 40.0 * Polynomial.fromroots([0, 0, 0, 0.5, 1, 1, 1])  # unevenness of a turn by hand, with 0 at both ends
 TILT_SD = 0.3 * RADIAN_PER_DEGREE  # standard deviation of a face's tilt about each axis, rad
 AXIS_SD = 0.3 * RADIAN_PER_DEGREE  # standard deviation of a turn's axis, about each perpendicular axis, rad
 ANGLE_SD = 0.5 * RADIAN_PER_DEGREE  # standard deviation of a turn's angle, rad
