@@ -9,16 +9,14 @@ import sys
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from testkit.remembered import folder_made_once, run_folder
-from undrift.base.summary import Section
-from undrift.io import store as store_module
 from undrift.io.session import read_session
 from undrift.model import Verdict
-from undrift.report import page as page_module
+from undrift.report import Table
 from undrift.rig.folder import disk_errors
-from undrift.study import virtual_bench
 from undrift.study.virtual_bench import Check, bench_device, bench_plan, record_on_bench
 
 CODE = "from undrift.cli.app import main; main(['demo', '--quick', '--json', '--out', {!r}])"
@@ -42,8 +40,9 @@ def quick(tmp_path_factory):
 def test_the_bench_finds_the_hidden_parameters_and_the_tables_take_the_pitch_error_away(quick, capsys):
     out, answer = quick
     assert answer.returncode == 0, answer.stdout[-2000:] + answer.stderr[-2000:]
-    told = json.loads(answer.stdout)["result"]
-    assert told == json.loads((out / "summary.json").read_text())
+    whole = json.loads(answer.stdout)
+    assert whole == json.loads((out / "summary.json").read_text())
+    told = whole["data"]
     assert set(told) == {"calibration", "checks"}
     assert all(set(check) == {"name", "value", "limit", "pass"} for check in told["checks"])
     with capsys.disabled():
@@ -68,7 +67,7 @@ def test_a_full_disk_under_its_table_is_no_run_to_resume(undrift, tmp_path, monk
         with disk_errors(tmp_path / "demo" / "bench"):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr("undrift.study.virtual_bench.record_on_bench", full)
+    monkeypatch.setattr(importlib.import_module("undrift.commands.demo"), "record_on_bench", full)
     said = undrift.refused("demo", "--out", tmp_path / "demo", "--quick")
     assert "(No space left on device). Free disk space and run the demo again" in said
     assert "resume" not in said
@@ -84,21 +83,15 @@ def test_a_bench_that_is_interrupted_keeps_what_was_done(tmp_path):
     assert read_session(tmp_path / "bench").stills  # what was done is on the disk
 
 
-def test_a_failed_check_ends_with_one(undrift, tmp_path, monkeypatch):
+def test_a_failed_check_ends_with_one(tmp_path, monkeypatch):
     demo = importlib.import_module("undrift.commands.demo")
     worst = (Check(name="never", value=2.0, limit=1.0),)
-    monkeypatch.setattr(virtual_bench, "record_on_bench", lambda *_, **__: None)
-    monkeypatch.setattr(virtual_bench, "compare_with_truth", lambda *_: worst)
-    monkeypatch.setattr(store_module, "calibration_json", lambda _: {})
-    monkeypatch.setattr(page_module, "write_page", lambda *_: None)
-    figures = SimpleNamespace(max_abs_pitch_deg=1.0, motion_s=1.0)
+    figures = SimpleNamespace(max_abs_pitch_deg=1.0, rmse_pitch_deg=1.0, motion_s=1.0)
+    error = SimpleNamespace(pitch=np.zeros(2))
     drift = SimpleNamespace(calibration=None, verdict=Verdict.of())
-    trials = (SimpleNamespace(figures=figures, findings=()),) * 5
-    monkeypatch.setattr(demo, "_judge_trials", lambda *_: (SimpleNamespace(drift=drift), trials))
-    monkeypatch.setattr(demo, "_worn_section", lambda _: Section(title="worn"))
-    monkeypatch.setattr(demo, "_details", lambda *_: ())
-    monkeypatch.setattr(demo, "_tables", lambda _: None)
-    answer = undrift("demo", "--quick", "--out", tmp_path / "d")
-    assert answer.code == 1
-    assert "1 of 1 FAIL." in answer.out
-    assert ["never", "2", "1", "NO"] in [line.split() for line in answer.out.splitlines()]
+    trials = (SimpleNamespace(recording="none", figures=figures, findings=(), error=error),) * 5
+    monkeypatch.setattr(demo, "calibration_json", lambda _: {})
+    monkeypatch.setattr(demo, "_bench", lambda _: Table(title="The simulated bench"))
+    report = demo._report(tmp_path, SimpleNamespace(), SimpleNamespace(drift=drift), trials, worst)
+    assert report.exit_code == 1
+    assert [item.code for item in report.findings] == ["demo.check"]

@@ -36,6 +36,6 @@ def make_bench(folder: Path) -> Path:
     calibration = calibrate(read_session(folder / "session"))
     write_calibration(calibration, folder / "calibration.json")
     write_record(correct_checked(made.trial.record, calibration).record, folder / "corrected.parquet")
-    (folder / "summary.json").write_text(json.dumps({"calibration": None, "study": None, "checks": []}))
+    (folder / "summary.json").write_text(json.dumps({"kind": "undrift.demo", "checks": []}))
     (folder / "report.html").write_text("<!doctype html>\n")
     return folder

@@ -34,6 +34,7 @@ MOVED = {
     "correct": "correct:correct",
     "simulate": "simulate:simulate",
     "study": "study:study",
+    "demo": "demo:demo",
     **{f"rig {name}": f"rig:{name}" for name in ("run", "stop", "check")},
 }  # the module and the function of each command
 DISPLAY = Group("Display", sort_key=99)
