@@ -30,7 +30,7 @@ def show(report: Report, *, details: bool = False) -> None:
         _show_findings(report, details=details)
         for table in (*report.tables, *(report.details if details else ())):
             _show_table(table)
-        say(*(f"  note: {note}" for note in report.notes), *(f"Wrote {path}" for path in report.written))
+        say(*(f"  {note}" for note in report.notes), *(f"Wrote {path}" for path in report.written))
         if report.next_command:
             say("Next: undrift " + shlex.join(map(str, report.next_command)))
 
