@@ -216,7 +216,7 @@ def test_the_offset_at_a_rest_is_subtracted_the_same_from_a_stream_and_at_once_a
     assert rows[1]["rest"]["rest_s"] == pytest.approx(rows[0]["rest"]["rest_s"], abs=1e-6)
     assert rows[1]["rest"]["offset_dps"] == pytest.approx(rows[0]["rest"]["offset_dps"], abs=1e-9)
     assert 0.0 < max(rows[0]["rest"]["offset_uncertainty_dps"]) < 0.1
-    assert any("Offset subtracted" in note for note in told["notes"])
+    assert any("offset was subtracted" in note for note in told["notes"])
     stated = json.loads((tmp_path / "a.csv.json").read_text())
     assert stated["provenance"]["settings"]["offset"] == "rest"
     corrected = ("orient", bench / "corrected.parquet", "--offset", "rest", "-o", tmp_path / "o.csv", "--json")

@@ -194,7 +194,7 @@ def test_a_temperature_outside_the_tables_is_an_error_with_the_numbers():
 def test_hold_keeps_the_end_of_the_table_and_masks_and_warns(static):
     r, c = record(low=0.0, high=100.0), device(drift=tables(static=static, dynamic=None))
     low, high = (18.0, 75.0) if static is STEPS else (17.0, 80.0)
-    with pytest.warns(DriftRangeWarning, match=r"s outside the drift table: .* degC were recorded"):
+    with pytest.warns(DriftRangeWarning, match="outside the drift table"):
         held = correct(r, c, policy="hold")
     done = correct_checked(r, c, policy="hold")
     np.testing.assert_array_equal(done.outside, (r.temp_c < low) | (r.temp_c > high))

@@ -63,7 +63,7 @@ def test_what_is_left_at_the_first_rest_is_subtracted_from_every_sample_and_stat
     (note,) = (item for item in done.findings if item.code == "correct.offset_subtracted")
     assert note.level == "info"
     assert note.values["offset_dps"] == pytest.approx(np.degrees(done.rest.mean))
-    assert "the calibration left" in note.text
+    assert "was subtracted" in note.text
     assert np.isfinite(done.rest.covariance).all()
 
 

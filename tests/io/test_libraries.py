@@ -300,7 +300,7 @@ def test_a_nilspod_whose_samples_are_lost_says_how_many_and_one_that_disagrees_i
     assert "40 of 635 samples missing by the counter, seen as gaps in time" in [
         f.values.get("what") for f in found.findings
     ]
-    assert any(text.startswith("Drop-outs: 1, the longest 0.4004 s at 1.94336 s") for text in found.problems)
+    assert any("longest 0.4004 s" in text for text in found.problems)
     path.write_bytes(whole[:place] + whole[place : place + size] + whole[place:])
     with pytest.raises(FileFormatError, match="the header gives 20372 bytes"):
         read_record(path)

@@ -53,7 +53,7 @@ def test_from_start_to_certificate_with_the_pointer_and_the_gravity(open_page: C
     page.wait_for_url("**/calibrate", timeout=COMMAND_MS)
     verdict = page.get_by_role("heading", name="Verdict:")
     expect(verdict).to_have_text("Verdict: marginal")
-    expect(page.get_by_role("region", name="Verdict")).to_contain_text("Warning: Local gravity in doubt")
+    expect(page.get_by_role("region", name="Verdict")).to_contain_text("Warning: Standard gravity was assumed")
     shoot(page, "result-gravity-assumed")
     page.get_by_label("Gravity, m/s2").fill("9.80665")  # of the practice device
     hand.click("Calibrate with this gravity")

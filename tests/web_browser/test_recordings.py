@@ -130,7 +130,7 @@ def test_the_offset_that_motion_shows_is_subtracted_where_it_is_chosen(
     name_sides(page, "+x", "+z")
     for command in ("Correct", "Orient"):
         page.get_by_role("button", name=command, exact=True).click()
-        noticed = page.get_by_role("list").filter(has_text="Offset subtracted")
+        noticed = page.get_by_role("list").filter(has_text="offset was subtracted")
         expect(noticed).to_have_count(1 if command == "Correct" else 2, timeout=COMMAND_MS)
     shoot(page, "recordings-offset-390")
     assert faults_of(page) == []
