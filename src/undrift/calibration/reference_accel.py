@@ -3,8 +3,8 @@
     M u - c = R' g z + e          mean reading u of a rest, pose R in the body of the gyroscope fit, c = M o
 
 The errors e are noise, codes, flicker and temperature as for six faces, a tilt of the reference's level of known size, and a tilt
-of each pose with an excess variance. Motion is not used, so six rests or more must determine M and c. The offset applies at the
-mean temperature of the recordings, although the rests may all be at one end of the temperature range.
+of each pose. Flicker and tilt of a pose have excess variances. Motion is not used, so six rests or more must determine M and c. The
+offset applies at the mean temperature of the recordings, although the rests may all be at one end of the temperature range.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration.codes import mean_rounding
+from undrift.calibration.codes import limited_by_codes, mean_rounding
 from undrift.calibration.plausibility import without_saturated
 from undrift.calibration.quality import whole_readings
 from undrift.calibration.reference import matrix_uncertain
@@ -107,13 +107,16 @@ def fit_reference_accel(
     # effect of a tilt of 1 rad on the force: of each pose, and of the level of the reference on all rests together
     tilt = block_diag(*(gravity_m_s2**2 * (np.eye(3) - up[:, :, None] * up[:, None, :])))
     level = REFERENCE_LEVEL * gravity_m_s2 * np.swapaxes(body[:, :2], 1, 2).reshape(-1, 2)
-    fit = solve_inverse(reading, force, None, matrix, sources | {"level": level @ level.T}, excess={"level": tilt})
+    excess = {"level": tilt, "instability": sources["instability"] / ACCEL_FLICKER**2}
+    fit = solve_inverse(reading, force, None, matrix, sources | {"level": level @ level.T}, excess=excess)
     residuals = -fit.residuals.reshape(-1, 3)
     fitted = fit_of(parameters_of(fit), force, residuals, method="reference", unit_in=unit, unit_out="m/s2")
+    noise, codes = (np.diag(sources[name]).reshape(-1, 3).mean(axis=0) for name in ("noise", "adc"))
+    findings = [*limited_by_codes("accelerometer", codes, noise + codes, "m/s2")]
     uncertainty = float((fitted.model.standard_uncertainty[:9] / np.linalg.norm(fitted.model.matrix, 2)).max())
-    if uncertainty <= WANTED:
-        return fitted
-    return replace(fitted, verdict=Verdict.of(matrix_uncertain("accelerometer", uncertainty, WANTED)))
+    if uncertainty > WANTED:
+        findings.append(matrix_uncertain("accelerometer", uncertainty, WANTED))
+    return replace(fitted, verdict=Verdict.of(*findings))
 
 
 def _sources(
