@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from undrift.calibration.calibrate import calibrate
 from undrift.calibration.session import Observed, observe
 from undrift.calibration.settings import CalibrateSettings
 from undrift.calibration.sources import (
@@ -13,7 +14,9 @@ from undrift.calibration.sources import (
     flicker_of_means,
     walk_about_mean,
 )
-from undrift.record import Record, Session, Still, TemperatureSensitivity
+from undrift.record import RateTable, Record, Session, Still, TemperatureSensitivity
+from undrift.sim.device.presets import random_device
+from undrift.sim.sessions import simulate_session
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 RATE_HZ, STILL_S = 50.0, 8.0
@@ -148,3 +151,22 @@ def test_a_walk_about_its_mean_has_the_covariance_of_drawn_walks() -> None:
     drawn = (walks - walks.mean(axis=1)[:, None])[:, picked]
     # 4,000 walks know a variance to 2.2 %, of which the largest is 33
     np.testing.assert_allclose(walk_about_mean(time[picked]), drawn.T @ drawn / 4000, atol=0.1 * 33.0)
+
+
+# ---- a source of stated size that no residual shows
+
+
+@pytest.mark.parametrize(
+    ("rate", "with_accel", "named"),
+    [(1e-3, True, {"rate"}), (1e-6, True, set()), (1e-3, False, {"rate", "mounting"})],
+)
+def test_a_source_of_stated_size_that_no_residual_shows_is_named(
+    rate: float, with_accel: bool, named: set[str]
+) -> None:
+    device = random_device(np.random.default_rng(7))
+    session = simulate_session("bench", device, rng=np.random.default_rng(8))
+    records = session.records if with_accel else tuple(replace(record, accel=None) for record in session.records)
+    verdict = calibrate(replace(session, records=records, rate_table=RateTable(rate_uncertainty=rate))).verdict
+    of_gyros = [item for item in verdict.findings if item.code == "session.stated" and "gyroscopes" in item.text]
+    assert {item.values["source"] for item in of_gyros} - {"temperature"} == named
+    assert {item.level for item in of_gyros} <= {"info"}

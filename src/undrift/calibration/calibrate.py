@@ -32,7 +32,7 @@ from undrift.calibration.reference_accel import fit_reference_accel, turned_like
 from undrift.calibration.session import Observed, Outcome, at_one_temperature, check_alike, observe
 from undrift.calibration.settings import AccelFit, CalibrateSettings, GyroFit, Mode
 from undrift.calibration.six_face import calibrate_faces
-from undrift.calibration.sources import creep_of
+from undrift.calibration.sources import Kind, creep_of, name_stated_sources
 from undrift.calibration.triads import check_triads
 from undrift.errors import CalibrationError, InputError, NotObservable, check_choice
 from undrift.findings import Finding, Level, finding
@@ -188,9 +188,12 @@ def calibrated(
     findings = (*other_temperatures, *_doubts(observed, accel_outcome, gyro_outcome))
     findings += accel_outcome.findings + gyro_outcome.findings
     verdict, models = _collect_verdict(findings), dict[str, TriadModel]()
-    for name, fit in (("accel", accel_outcome.fit), ("gyro", gyro_outcome.fit)):
+    kinds: tuple[Kind, Kind] = ("accel", "gyro")
+    visible = () if accel_outcome.fit is None else ("mounting",)  # gravity measures it
+    for kind, fit in zip(kinds, (accel_outcome.fit, gyro_outcome.fit), strict=True):
         if fit is not None:
-            verdict, models[name] = verdict.also(fit.verdict), fit.model
+            stated = name_stated_sources(kind, fit.model, observed.session, settings, visible=visible)
+            verdict, models[kind] = verdict.also(fit.verdict).also(Verdict.of(*stated)), fit.model
     if not models:
         reasons = " ".join(item.text for item in findings)
         raise NotObservable(f"calibrate: no pose or turn can be used for a fit: {reasons}")
@@ -423,6 +426,9 @@ def calibrate_to_references(
         readings = [restored(record, adc) for record in records]
         accel, accel_verdict = _accel_by_reference(readings, references, fit, session.gravity_m_s2)
         verdict = verdict.also(accel_verdict)
+        if accel is not None:
+            stated = name_stated_sources("accel", accel, session, CalibrateSettings(), visible=("instability",))
+            verdict = verdict.also(Verdict.of(*stated))
     if accel is not None and session.gravity_source == "standard":
         verdict = verdict.also(Verdict.of(_gravity_assumed(session.gravity_m_s2, "info")))
     choices = {"gyro": "reference", "mounting": mounting, "recordings": len(records)}

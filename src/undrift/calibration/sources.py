@@ -13,7 +13,7 @@ w is the recorded temperature, plus lag times its rate of change if the thermome
 by one step at most, w increases evenly in time by that step. Without a thermometer it increases by the given span.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -22,11 +22,12 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.calibration.quality import piece_temperatures
 from undrift.calibration.session import ONE_TEMPERATURE, Observed, middles
+from undrift.calibration.settings import CalibrateSettings
 from undrift.findings import Finding, above, finding, told_apart
 from undrift.fit.gls import GlsFit
-from undrift.fit.priors import DRIFT_DPS, GYRO_FLICKER, REST_DRIFT
-from undrift.model import AXES
-from undrift.record import Still, Turn
+from undrift.fit.priors import ACCEL_FLICKER, DRIFT_DPS, GYRO_FLICKER, MILLI_G, REST_DRIFT
+from undrift.model import AXES, TriadModel
+from undrift.record import Session, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 # ---- flicker and walk of an offset, of a stated size, in means over pieces of a session
@@ -211,3 +212,53 @@ def _thermometer_step(observed: Observed) -> float:
     columns = [record.temp_c for record in observed.session.records if record.temp_c is not None]
     steps = np.diff(np.unique(np.concatenate([column[np.isfinite(column)] for column in columns])))
     return float(steps.min()) if len(steps) else 0.0
+
+
+# ---- sources of stated size that no residual shows: a larger size would be noticed by nothing
+
+LARGE_SHARE = 0.25  # of a variance: if such a source is three times its stated size, 74 % of the intervals hold
+GROUPS = {"scale": [0, 4, 8], "cross-axis terms": [1, 2, 3, 5, 6, 7], "offset": [9, 10, 11]}  # places of parameters
+
+
+def name_stated_sources(
+    kind: Kind, model: TriadModel, session: Session, settings: CalibrateSettings, *, visible: Sequence[str] = ()
+) -> Iterator[Finding]:
+    """Yield a finding for each source of stated size that causes much of the uncertainty of a triad, although no residual shows it.
+
+    ``visible`` are sources that the residuals of this fit show.
+    """
+    if model.budget is None:
+        return
+    table, slopes, gyro = session.rate_table, session.sensitivity, kind == "gyro"
+    per_k = f"{slopes.accel_scale_percent_per_k:g} % and {slopes.accel_offset_mg_per_k:g} mg per kelvin"
+    if gyro:
+        per_k = f"{slopes.gyro_scale_percent_per_k:g} % and {slopes.gyro_offset_dps_per_k:g} deg/s per kelvin"
+    texts = {  # source, its stated size, and how to check it
+        "rate": ("rate of the table", f"{100.0 * table.rate_uncertainty:g} %", "Turn by known angles"),
+        "mounting": ("mounting on the table", f"{table.mount_tilt_deg:g} deg", "Record accelerometers on six faces"),
+        "angle": ("angle of a turn", f"{settings.angle_uncertainty_deg:g} deg", "Turn twice about each axis"),
+        "axis": (
+            "axis of the turns",
+            f"{settings.axis_uncertainty_deg:g} deg",
+            "Record accelerometers beside the turns",
+        ),
+        "temperature": ("dependence on temperature", per_k, "Record soaks at several temperatures"),
+        "instability": ("flicker", f"{ACCEL_FLICKER / MILLI_G:g} mg", "Record an hour at rest"),
+    }
+    axes = [turn.axis for turn in session.turns if turn.angle is not None]
+    repeats, exact = len(axes) > len(set(axes)), table.mount_tilt_deg == 0.0
+    visible = (*visible, *["instability"] * gyro, *["angle"] * repeats, *["mounting"] * exact)
+    variance = np.diag(model.covariance)
+    for source, part in zip(model.budget.sources, model.budget.uncertainty**2, strict=True):
+        groups = [name for name, at in GROUPS.items() if part[at].sum() > LARGE_SHARE * variance[at].sum()]
+        if groups and source in texts.keys() - {*visible}:
+            what, size, check = texts[source]
+            yield finding(
+                "session.stated",
+                "info",
+                f"The {what}, stated to {size}, causes much of the uncertainty of the {' and the '.join(groups)} of the "
+                f"{'gyroscopes' if gyro else 'accelerometers'}. No residual shows its size.",
+                f"{check} to check it.",
+                source=source,
+                parameters=tuple(groups),
+            )
