@@ -56,5 +56,5 @@ def rows(devices: int, seed: int) -> Iterator[Row]:
                 inside_percent=100.0 * float(np.mean((limits[:, 0] <= true) & (true <= limits[:, 1]))),
                 rmse=float(np.sqrt(np.mean((values - true) ** 2))) if len(values) else float("nan"),
                 stated=float(np.sqrt(np.mean((np.diff(limits, axis=1) / (2.0 * NORMAL_95)) ** 2))),
-                reasons="" if len(values) == len(coefficients) else "session.not_observable",
+                named=not len(values), reasons="" if len(values) == len(coefficients) else "session.not_observable",
             )  # fmt: skip
