@@ -87,27 +87,17 @@ def find_body(markers: Markers, name: BodyName) -> Body:
     raise InputError(f"body: expected {', '.join(get_args(BodyName))}, got {name!r}. Choose one.")
 
 
-def device_on(
-    body: Body,
-    *,
-    offset_b: tuple[float, float, float] = L5_OFFSET,
-    q_bd: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0),
-) -> Reference:
-    """Return the poses of a device fixed on a body.
+def device_on(body: Body, *, offset_b: tuple[float, float, float] = L5_OFFSET) -> Reference:
+    """Return the poses of a device fixed on a body, with the axes of the body.
 
-    ``p_d = p_b + R_nb r`` and ``q_nd = q_nb q_bd``: the device's case d is at r from the body's origin, turned by q_bd.
+    ``p_d = p_b + R_nb r``: the device's case d is at r from the body's origin.
     """
-    mount = np.array(q_bd)
-    if abs(float(np.linalg.norm(mount)) - 1.0) > 1e-6:
-        raise InputError(
-            f"device: expected a unit quaternion w-x-y-z from case to body, got length {np.linalg.norm(mount):.6g}. Divide by it."
-        )
     poses = body.reference
     origin = poses.position if poses.position is not None else np.full((len(poses), 3), np.nan)
     millimetres = ", ".join(f"{1e3 * value:g}" for value in offset_b)
     return Reference(
         time=poses.time,
-        q_nb=quaternion_product(poses.q_nb, mount),
+        q_nb=poses.q_nb,
         position=origin + rotate(poses.q_nb, np.array(offset_b)),
         moving=poses.moving,
         name=f"{poses.name}, device at ({millimetres}) mm",
