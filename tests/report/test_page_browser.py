@@ -90,7 +90,7 @@ def rig_run() -> Report:
         for k, rate in enumerate((-90.0, -45.0, 45.0, 90.0, 30.0, -30.0))
     ]  # fmt: skip
     result = RunResult(pieces=tuple(turns), added=6, duration_s=40.0, rig="a table")
-    return run_report(Path("run"), result, ())
+    return run_report({Path("run"): result})
 
 
 @pytest.mark.slow
