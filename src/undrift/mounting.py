@@ -20,7 +20,7 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray, runs
 from undrift.calibration.triads import check_triads
 from undrift.errors import Implausible, InputError
-from undrift.findings import Verdict, finding, told_apart
+from undrift.findings import Finding, Verdict, finding, told_apart
 from undrift.frames import integrate_strapdown, quaternion_conjugate, rotate
 from undrift.model import AXES, BodyMounting
 from undrift.orientation import check_whole, filtered, initial_tilt, shortest_rotation_up
@@ -42,6 +42,7 @@ SCATTER = {"walk": 1.5 * DEG, "bow": 3.0 * DEG}
 SHARED = {"walk": 0.7 * DEG, "bow": 2.0 * DEG}
 FEWEST = {"walk": 1, "bow": 2}
 WARN = 5.0 * DEG  # uncertainty of the mounting
+TURNED = 45.0 * DEG  # against the mounting before
 OFFSET = 0.5 * DEG  # rad/s, that gyroscopes have before the filter
 STANCE_S, EDGE_S = 3.0, 0.3  # shortest stance, and its ends, in which the body still moves, s
 WALK_S, START_S = 15.0, 1.2  # longest walk that is integrated, and its first and last part, which may turn, s
@@ -102,7 +103,7 @@ def find_mounting(records: Sequence[Record], place: Worn, movement: Movement = "
         basis=f"{basis}; forward by {len(pieces)} {'walks between stances' if movement == 'walk' else 'bows'}",
     )
     # a wrong sign of the accelerometers has no other effect
-    ahead, upward = (f"{'+-'[int(side[k] < 0.0)]}{AXES[k]}" for side in (forward, up) for k in [np.abs(side).argmax()])
+    ahead, upward = (nearest_side(direction)[0] for direction in (forward, up))
     look = finding(
         "mount.look",
         "info",
@@ -114,6 +115,35 @@ def find_mounting(records: Sequence[Record], place: Worn, movement: Movement = "
         "mount.uncertain", "warn", f"The mounting is uncertain by {size} deg (limit {WARN / DEG:g} deg).", RECORD_AGAIN
     )
     return MountFit(mounting=worn, verdict=Verdict.of(look, *((uncertain,) if worn.uncertainty > WARN else ())))
+
+
+def nearest_side(direction: FloatArray) -> tuple[str, float]:
+    """Return the side of the device nearest to a direction in b, such as "+x", and the angle between them, rad."""
+    k = int(np.abs(direction).argmax())
+    return f"{'+-'[int(direction[k] < 0.0)]}{AXES[k]}", float(np.arccos(min(1.0, abs(direction[k]))))
+
+
+def statement_of(worn: BodyMounting) -> str:
+    """Return in a sentence which sides of the device point forward and up."""
+    (forward, ahead), _, (up, upright) = map(nearest_side, worn.matrix)
+    return (
+        f"{worn.place.capitalize().replace('-', ' ')}: side {forward} of the device points forward ({ahead / DEG:.1f} deg off) "
+        f"and {up} up ({upright / DEG:.1f} deg off), with a standard uncertainty of {worn.uncertainty / DEG:.1f} deg."
+    )
+
+
+def check_turned(worn: BodyMounting, before: BodyMounting | None) -> tuple[Finding, ...]:
+    """Return a finding if a device is turned against its mounting before, or against +x forward and +z up."""
+    turn = worn.matrix if before is None else worn.matrix @ before.matrix.T
+    angle = np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0))
+    if angle < TURNED:
+        return ()
+    ways = ("upside down", "left and right swapped", "front and back swapped")
+    how = ", ".join(way for way, cosine in zip(ways, np.diag(turn)[::-1], strict=True) if cosine < -0.7) or "turned"
+    against = "+x forward and +z up" if before is None else "the mounting before"
+    sentence = f"The device is {how}: {angle / DEG:.0f} deg off {against}."
+    action = "Look at the device: if it was not meant so, turn it and record again."
+    return (finding("mount.look", "warn" if before else "info", sentence, action),)
 
 
 def _undetermined(direction: str, why: str) -> MountFit:

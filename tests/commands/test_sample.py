@@ -9,7 +9,7 @@ from testkit.command_line import contents
 
 def test_sample_writes_all_recordings(undrift, tmp_path):
     answer = undrift.good("sample", tmp_path / "first", "--json").json()
-    assert answer["folder"] == str(tmp_path / "first")
+    assert answer["written"] == [str(tmp_path / "first")]
     written = {path.name for path in (tmp_path / "first").iterdir()}
     assert {"bench", "thermal", "rest.parquet", "sit_to_stand.parquet", "sit_to_stand_optics.parquet"} <= written
     assert sum(path.stat().st_size for path in (tmp_path / "first").rglob("*")) < 1_000_000
@@ -37,7 +37,7 @@ def test_the_sample_runs_through_the_commands(undrift, tmp_path, monkeypatch):
     made = undrift.good("calibrate", "bench", "-o", "calibration.json", "--json").json()
     assert made["gyro"]["method"] == "rate-table/affine"
     assert made["accel"]["method"] == "six-face/affine"
-    assert undrift.good("noise", "rest.parquet", "--calibration", "calibration.json", "--json").json()["gyro"]
+    assert undrift.good("noise", "rest.parquet", "--calibration", "calibration.json", "--json").data()["gyro"]
     undrift.good("drift", "bench", "thermal", "--calibration", "calibration.json", "-o", "tables.json", "--json")
     undrift.good("correct", "sit_to_stand.parquet", "--calibration", "tables.json", "-o", "corrected.parquet", "--json")
     undrift.good("orient", "corrected.parquet", "-o", "angles.csv", "--json")

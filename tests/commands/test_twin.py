@@ -12,7 +12,7 @@ from undrift.sim.device.model import read_device
 
 pytestmark = pytest.mark.usefixtures("computed_once")
 
-KEYS = {"name", "value", "standard_error", "unit", "identifiable"}
+COLUMNS = {"parameter", "value", "standard error", "unit"}
 
 
 @pytest.mark.slow
@@ -21,8 +21,8 @@ def test_one_recording_makes_a_device_that_can_be_read(tmp_path: Path, capsys: p
     assert run(["twin", path, "-o", str(tmp_path / "device.json"), "--json", "--report", str(tmp_path / "t.html")]) == 0
     assert faults_of((tmp_path / "t.html").read_text()) == []
     said = json.loads(capsys.readouterr().out)
-    assert all(set(parameter) >= KEYS for parameter in said["parameters"])
-    assert said["heldout"] == []  # one recording: nothing is held out
+    assert all(row.keys() == COLUMNS for row in said["tables"]["parameters_of_the_device"])
+    assert "held_out_recordings" not in said["tables"]  # one recording: nothing is held out
     device = read_device(tmp_path / "device.json")
     assert device.source_tag == "fitted"
     assert device.gyro.adc is not None
@@ -31,7 +31,7 @@ def test_one_recording_makes_a_device_that_can_be_read(tmp_path: Path, capsys: p
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ([], "parameter RECORDS requires an argument. Say undrift twin --help."),
+        ([], "parameter RECORDS requires an argument. Run undrift twin --help."),
         (["missing.parquet", "--reference", "missing.csv"], "missing.parquet: there is no file of that name"),
     ],
 )

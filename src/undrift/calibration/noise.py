@@ -154,6 +154,20 @@ class AxisNoise:
         shapes = zip(_ROWS, _shapes(taus_s).T, strict=True)
         return {name: np.nan_to_num(getattr(self, name).value) ** 2 * shape for name, shape in shapes}
 
+    def angle_uncertainty(self, tau_s: float) -> dict[str, float]:
+        """Return the standard uncertainty of an angle by term, rad, if a gyroscope's offset is a mean over a rest.
+
+        The rest lasts tau as the motion, and ends where it begins. The two means differ by sqrt(2) sigma(tau), by definition of
+        the Allan deviation, so u = tau sqrt(2) sigma(tau). A term that is not observable counts with its upper limit.
+        """
+        shapes = dict(zip(_ROWS, _shapes(np.array([tau_s]))[0].tolist(), strict=True))
+        uncertainty = dict[str, float]()
+        for name in _NAMES:
+            coefficient: NoiseCoefficient = getattr(self, name)
+            size = coefficient.interval[1] if np.isnan(coefficient.value) else coefficient.value
+            uncertainty[name] = float(tau_s * np.sqrt(2.0 * shapes[name]) * size)
+        return uncertainty
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NoiseFit(Shown):

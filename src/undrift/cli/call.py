@@ -29,6 +29,11 @@ if TYPE_CHECKING:
     from cyclopts.help.protocols import HelpFormatter
 
 MOVED = {
+    "noise": "noise:noise",
+    "twin": "twin:twin",
+    "mount": "mount:mount",
+    "export": "export:export",
+    "sample": "sample:sample",
     "orient": "orient:orient",
     "validate": "validate:validate",
     "correct": "correct:correct",

@@ -5,13 +5,14 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from undrift.base.options import Output, verb
-from undrift.base.summary import Section, Summary, figure_of
-from undrift.commands.files import check_output
+from undrift.base.options import Output
+from undrift.commands.files import calibration_findings, check_output
 from undrift.export import ExportOptions, find_target
+from undrift.files import write_together
+from undrift.io.store import read_calibration
+from undrift.report import Report, Table
 
 
-@verb
 def export(
     calibration: Path,
     /,
@@ -19,7 +20,7 @@ def export(
     target: str,
     output: Output,
     options: Annotated[ExportOptions, Parameter(name="*")] = ExportOptions(),
-) -> Summary:
+) -> Report:
     """Write a calibration for firmware or another program, and list the parts that the file does not contain.
 
     Parameters
@@ -33,9 +34,6 @@ def export(
     options : ExportOptions
         Options that some targets take.
     """
-    from undrift.files import write_together
-    from undrift.io.store import read_calibration, verdict_json
-
     chosen = find_target(target)
     files = (output, *(output.with_suffix(ending) for ending in chosen.more))
     for path, endings in zip(files, (chosen.endings, *((ending,) for ending in chosen.more)), strict=True):
@@ -43,23 +41,13 @@ def export(
     model = read_calibration(calibration)
     exported = chosen.write(model, options, output.name)
     write_together(dict(zip(files, (exported.text, *exported.more), strict=True)))
-    lost = len(exported.not_carried)
-    return Summary(
+    lost = [(part,) for part in exported.not_carried]
+    return Report(
         title=f"Calibration of {model.device or 'a device'} for {target}",
-        answer=f"{output.name} contains the calibration" + (f", without {lost} of its parts." if lost else "."),
-        data={
-            "target": target,
-            "files": [str(path) for path in files],
-            "not_carried": exported.not_carried,
-            "notes": exported.notes,
-            **exported.figures,
-            "verdict": verdict_json(model.verdict),
-        },
-        pictures=(figure_of("calibration:draw_calibration", model),),
-        sections=(
-            Section(title="Not contained", text=tuple(f"not contained: {text}" for text in exported.not_carried)),
-        ),
-        verdict=model.verdict,
+        answer=f"{output.name} contains the calibration" + (f", without {len(lost)} of its parts." if lost else "."),
+        tables=[Table(title="Not contained", columns=("part",), rows=lost)],
         notes=exported.notes,
+        findings=calibration_findings(model),
         written=files,
+        data={"target": target},
     )

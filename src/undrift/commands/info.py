@@ -17,9 +17,9 @@ from undrift.commands.files import (
     named_columns,
     session_of,
 )
-from undrift.commands.mount import sides_of
 from undrift.commands.old_batch import of_folder
 from undrift.errors import InputError
+from undrift.mounting import statement_of
 from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
@@ -252,7 +252,7 @@ def _parts(calibration: "Calibration") -> "tuple[dict[str, list[str]], tuple[flo
             lines[name].append("g-sensitivity")
     has_temperature = calibration.reference_temp_c == calibration.reference_temp_c  # not NaN
     if calibration.mounting is not None:
-        lines["mounting"] = [sides_of(calibration.mounting)]
+        lines["mounting"] = [statement_of(calibration.mounting)]
     lines["reference temperature"] = [f"{calibration.reference_temp_c:.2f} degC" if has_temperature else "not known"]
     if calibration.drift is None:
         return lines, None

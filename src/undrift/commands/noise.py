@@ -1,93 +1,43 @@
 """``undrift noise``: noise coefficients of a device at rest."""
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from undrift.base.options import verb
-from undrift.base.summary import Result, Summary, figure_of, table_section
-from undrift.commands import Progress, reading, silent
-from undrift.commands.answer import ANSWERED_S
+import numpy as np
+
+from undrift.calibration.noise import TERMS, AxisNoise, NoiseCoefficient, NoiseFit, fit_noise
+from undrift.calibration.triads import check_force
 from undrift.commands.calibration_file import choose_calibration
-from undrift.commands.expanded import COVERAGE
-from undrift.commands.files import NamedRest, Opening, calibrated_part, named_columns
+from undrift.commands.files import (
+    NamedRest,
+    Opening,
+    TableUse,
+    calibrated_part,
+    calibration_findings,
+    corrected,
+    named_columns,
+)
+from undrift.findings import Finding
+from undrift.report import Report, Table
+from undrift.report.figures import draw_allan, draw_allan_fit
+from undrift.report.report import Cell
+from undrift.screen import progress, reading
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical
 
-if TYPE_CHECKING:
-    from undrift.calibration.noise import AxisNoise, NoiseFit
-    from undrift.model import Calibration, Verdict
-    from undrift.record import Record
-
-_DEG_PER_H, _UG = 3600.0 / RADIAN_PER_DEGREE, 1e6 / STANDARD_GRAVITY  # of a rad/s, of a m/s2
-# units of data sheets, by term and SI unit: key in JSON, unit, factor (60 sqrt(s) are 1 sqrt(h))
-_WALK, _FLOOR, _RISE = "angle_random_walk", "bias_instability", "rate_random_walk"
-DATA_SHEET = {
-    (_WALK, "rad/s/sqrt(Hz)"): ("angle_random_walk_deg_per_sqrt_h", "deg/sqrt(h)", 60.0 / RADIAN_PER_DEGREE),
-    (_FLOOR, "rad/s"): ("bias_instability_deg_per_h", "deg/h", _DEG_PER_H),
-    (_RISE, "rad/s/sqrt(s)"): ("rate_random_walk_deg_per_h_per_sqrt_h", "deg/h/sqrt(h)", 60.0 * _DEG_PER_H),
-    (_WALK, "m/s2/sqrt(Hz)"): ("velocity_random_walk_ug_per_sqrt_hz", "ug/sqrt(Hz)", _UG),
-    (_FLOOR, "m/s2"): ("bias_instability_ug", "ug", _UG),
-    (_RISE, "m/s2/sqrt(s)"): ("acceleration_random_walk_ug_per_sqrt_h", "ug/sqrt(h)", 60.0 * _UG),
+AFTER_S = 60.0  # after a rest of the same length
+COVERAGE = 2.0
+DEG_PER_H, UG = 3600.0 / RADIAN_PER_DEGREE, 1e6 / STANDARD_GRAVITY  # of a rad/s, of a m/s2
+DATA_SHEET = {  # unit of data sheets, and factor; 60 sqrt(s) are 1 sqrt(h)
+    "rad/s/sqrt(Hz)": ("deg/sqrt(h)", 60.0 / RADIAN_PER_DEGREE),
+    "rad/s": ("deg/h", DEG_PER_H),
+    "rad/s/sqrt(s)": ("deg/h/sqrt(h)", 60.0 * DEG_PER_H),
+    "m/s2/sqrt(Hz)": ("ug/sqrt(Hz)", UG),
+    "m/s2": ("ug", UG),
+    "m/s2/sqrt(s)": ("ug/sqrt(h)", 60.0 * UG),
 }
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Noise(Result):
-    """Noise coefficients of a recording at rest."""
-
-    record: Path
-    fit: "NoiseFit"
-    verdict: "Verdict"
-    notes: tuple[str, ...]
-
-    def summary(self) -> Summary:
-        """Return the effect of the noise on an angle, and the coefficients of each axis with their intervals."""
-        from undrift.calibration.noise import TERMS
-        from undrift.io.store import verdict_json
-
-        fit, coefficients, sections = self.fit, [], []
-        physical = all(is_physical(getattr(fit, f"{one}_unit")) for one in TERMS if getattr(fit, one))
-        after = {"angle_after_60_s_deg": [{"axis": axis.axis} | angle_after(axis) for axis in fit.gyro]}
-        follows = ("--calibration", "calibration.json")
-        for name, triad, axes in (("gyroscopes", "gyro", fit.gyro), ("accelerometers", "accel", fit.accel)):
-            if not axes:
-                continue
-            names, walks = TERMS[triad], [axis.angle_random_walk for axis in axes]
-            largest = max((walk.value for walk in walks if math.isfinite(walk.value)), default=math.nan)
-            if math.isfinite(largest):
-                coefficients.append(f"{names['angle_random_walk']} up to {largest:.2g} {walks[0].unit}")
-            drawing = figure_of("figures:draw_allan_fit", fit, triad, names)
-            cells: list[tuple[str, Callable[[AxisNoise], str]]] = [("axis", lambda axis: axis.axis)]
-            for term, label in names.items():
-                cells.append((f"{label} ({getattr(axes[0], term).unit})", partial(_cell, term)))
-            if physical and triad == "gyro":
-                cells.append(
-                    (f"angle after {ANSWERED_S:.0f} s (deg)", lambda axis: f"{angle_after(axis)['angle']:.2g}")
-                )
-            title = f"{name}, in brackets the 95 % intervals"
-            sections.append(
-                table_section(title, axes, cells, text=tuple(_usual_units(axes, names)), pictures=(drawing,))
-            )
-        return Summary(
-            title=f"Noise of {self.record.name}",
-            answer=_meaning(fit)
-            or f"{fit.duration_s:.4g} s at rest determine {' and '.join(coefficients) or 'no coefficient'}. A calibration "
-            f"converts them to degrees.",
-            data=_data(fit)
-            | (after if physical else {})
-            | {"verdict": verdict_json(self.verdict), "notes": self.notes},
-            pictures=(figure_of("figures:draw_allan", fit),),
-            sections=tuple(sections),
-            verdict=self.verdict,
-            notes=self.notes,
-            next=() if physical else ("noise", self.record, *follows),
-        )
-
-
-@verb
 def noise(
     record: Path,
     /,
@@ -95,8 +45,7 @@ def noise(
     calibration: Path | None = None,
     named: NamedRest = NamedRest(),
     opening: Opening = Opening(),
-    progress: Progress = silent,
-) -> Noise:
+) -> Report:
     """Determine angle random walk, bias instability and rate random walk of a device at rest, with 95 % intervals.
 
     Parameters
@@ -106,116 +55,104 @@ def noise(
     calibration : Path or None
         calibration.json: turns counts into rad/s and m/s2 first.
     """
-    from undrift.calibration.noise import fit_noise
-    from undrift.calibration.triads import check_force
-
     chosen = choose_calibration(calibration, (record,), opening)
-    model = chosen.model
-    with reading(progress, 0.3, record):
+    model, notes, findings = chosen.model, chosen.notes, list[Finding]()
+    with reading(0.3, record):
         readings = opening.like(model, chosen.path).read(record)
     with named_columns(record):
-        readings, notes = (readings, ()) if model is None else _correct_readings(readings, model)
+        if model is not None:
+            readings, left_out = calibrated_part(readings, model)
+            readings, warnings, more = corrected(readings, record, model, TableUse())
+            notes, findings = (*notes, *left_out, *more), [*warnings, *calibration_findings(model)]
         if rest := named.still_in(readings):
             readings = readings.part(rest.start, rest.stop)
         check_force(readings)
     progress("fitting", 0.3)
     fit = fit_noise(readings)
-    return Noise(record=record, fit=fit, verdict=fit.verdict, notes=(*chosen.notes, *notes))
+    triads = [name for name in ("gyro", "accel") if getattr(fit, name)]
+    physical = all(is_physical(getattr(fit, f"{name}_unit")) for name in triads)
+    tables = [_coefficients(fit, name) for name in triads]
+    if fit.gyro and is_physical(fit.gyro_unit):
+        tables.insert(0, _angles(fit.gyro))
+    return Report(
+        title=f"Noise of {record.name}",
+        answer=_answer(fit),
+        tables=tables,
+        details=[_deviations(fit, name) for name in triads],
+        notes=notes,
+        findings=[*fit.verdict.findings, *findings],
+        judged=True,
+        figures=[lambda: draw_allan(fit)],
+        data={name: list(map(_axis_data, getattr(fit, name))) for name in triads} | {"duration_s": fit.duration_s},
+        next_command=[] if physical else ["noise", record, "--calibration", "calibration.json"],
+    )
 
 
-def angle_after(axis: "AxisNoise") -> dict[str, float]:
-    """Return U of an angle after 60 s, deg, by term. The offset is the mean of 60 s at rest just before.
-
-    The two means differ by sqrt(2) sigma(tau) by definition of the Allan deviation, so U = k tau sqrt(2) sigma(tau).
-    Terms that the recording does not determine count with their upper limit.
-    """
-    from undrift.calibration.noise import FLICKER
-
-    tau, uncertainty = ANSWERED_S, dict[str, float]()
-    for term, shape in ((_WALK, 1.0 / tau), (_FLOOR, FLICKER), (_RISE, tau / 3.0)):
-        coefficient = getattr(axis, term)
-        size = coefficient.interval[1] if math.isnan(coefficient.value) else coefficient.value
-        uncertainty[term] = COVERAGE * tau * math.sqrt(2.0 * shape) * size / RADIAN_PER_DEGREE
-    return uncertainty | {"angle": math.hypot(*uncertainty.values())}
-
-
-def _meaning(fit: "NoiseFit") -> str:
-    """Return the effect of white noise and instability on an angle, at 95 % on the worst axis, or "" for counts or
-    volts.
-    """
+def _answer(fit: NoiseFit) -> str:
+    """Return the effect of the noise on an angle, at 95 % on the worst axis."""
     parts = []
     if fit.gyro and is_physical(fit.gyro_unit):
-        axis = max(fit.gyro, key=lambda axis_fit: angle_after(axis_fit)["angle"])
-        angles = angle_after(axis)
-        labels = ((_WALK, "white noise"), (_FLOOR, "bias instability"), (_RISE, "rate random walk"))
-        terms = (
-            f"{name} {'under ' * math.isnan(getattr(axis, key).value)}{angles[key]:.2g} deg" for key, name in labels
-        )
-        if not math.isfinite(angles["angle"]):
-            return ""
-        parts.append(
-            f"After {ANSWERED_S:g} s the angle is good to {angles['angle']:.2g} deg (95 %, offset from {ANSWERED_S:g} s at rest "
-            f"before): {', '.join(terms)}."
-        )
-    if fit.accel and is_physical(fit.accel_unit):
-        walk = max(axis_fit.angle_random_walk.value for axis_fit in fit.accel)
-        tilt_deg = COVERAGE * walk / STANDARD_GRAVITY / RADIAN_PER_DEGREE
-        parts.append(f"White noise leaves an inclination from 1 s at rest good to {tilt_deg:.2g} deg.")
-    return " ".join(parts)
-
-
-def _correct_readings(readings: "Record", model: "Calibration") -> "tuple[Record, tuple[str, ...]]":
-    """Return corrected readings and notes about them."""
-    from undrift.correction.correct import correct_checked
-
-    readings, left_out = calibrated_part(readings, model)
-    result = correct_checked(readings, model)
-    return result.record, (*left_out, *result.warnings, *result.notes)
-
-
-def _data(fit: "NoiseFit") -> dict[str, object]:
-    import numpy as np
-
-    triads = {name: axes for name in ("gyro", "accel") if (axes := getattr(fit, name))}
-    taus_s = min((axes[0].curve.taus_s for axes in triads.values()), key=len)  # one triad may have more gaps
-    return {name: [_axis_json(axis) for axis in getattr(fit, name)] for name in ("gyro", "accel")} | {
-        "adev": {
-            name: np.column_stack([axis.curve.deviation[: len(taus_s)] for axis in axes])
-            for name, axes in triads.items()
-        },
-        "units": {"gyro": fit.gyro_unit, "accel": fit.accel_unit},
-        "taus_s": taus_s,
-        "duration_s": fit.duration_s,
-    }
-
-
-def _axis_json(axis: "AxisNoise") -> dict[str, object]:
-    names = ("angle_random_walk", "bias_instability", "rate_random_walk", "quantization")
-    entry: dict[str, object] = {"axis": axis.axis}
-    for name in names:
-        entry[name] = {key: getattr(getattr(axis, name), key) for key in ("value", "interval", "unit", "reason")}
-    for (term, unit), (key, _, factor) in DATA_SHEET.items():
-        if getattr(axis, term).unit == unit:
-            entry[key] = factor * getattr(axis, term).value
-    return entry
-
-
-def _cell(term: str, axis: "AxisNoise") -> str:
-    """Return a coefficient with its interval, or its upper limit if it is not observable."""
-    coefficient = getattr(axis, term)
-    if math.isnan(coefficient.value):
-        return f"not observable, under {coefficient.interval[1]:.2g}"
-    return f"{coefficient.value:.3g} [{coefficient.interval[0]:.3g}, {coefficient.interval[1]:.3g}]"
-
-
-def _usual_units(axes: tuple["AxisNoise", ...], names: dict[str, str]) -> "Iterator[str]":
-    """Yield the coefficients in the units of data sheets, one line a term."""
-    for term, name in names.items():
-        _, unit, factor = DATA_SHEET.get((term, getattr(axes[0], term).unit), ("", "", 1.0))
-        if unit:
-            values = ((axis.axis, getattr(axis, term).value) for axis in axes)
-            cells = (
-                f"{axis} not observable" if math.isnan(value) else f"{axis} {factor * value:.3g}"
-                for axis, value in values
+        angle = max(_total(axis) for axis in fit.gyro)
+        if math.isfinite(angle):
+            parts.append(
+                f"After {AFTER_S:g} s the angle is good to {angle:.2g} deg (95 %), if the offset is the mean of "
+                f"{AFTER_S:g} s at rest just before."
             )
-            yield f"{name} in {unit}: {', '.join(cells)}"
+    if fit.accel and is_physical(fit.accel_unit):
+        walk = max(axis.angle_random_walk.value for axis in fit.accel)
+        tilt = COVERAGE * walk / STANDARD_GRAVITY / RADIAN_PER_DEGREE
+        parts.append(f"An inclination from 1 s at rest is good to {tilt:.2g} deg (95 %).")
+    if parts:
+        return " ".join(parts)
+    return f"{fit.duration_s:.4g} s at rest show the noise in the unit of the readings. A calibration converts it to degrees."
+
+
+def _angle(axis: AxisNoise) -> dict[str, float]:
+    return {name: COVERAGE * u / RADIAN_PER_DEGREE for name, u in axis.angle_uncertainty(AFTER_S).items()}
+
+
+def _total(axis: AxisNoise) -> float:
+    return math.hypot(*_angle(axis).values())
+
+
+def _angles(axes: Sequence[AxisNoise]) -> Table:
+    terms = {"white noise (deg)": "angle_random_walk", "bias instability (deg)": "bias_instability"}
+    terms |= {"rate random walk (deg)": "rate_random_walk"}
+    rows = list[list[Cell]]()
+    rows += ([axis.axis, *(_angle(axis)[name] for name in terms.values()), _total(axis)] for axis in axes)
+    note = "Uncertainty (95 %). Noise that the recording does not determine counts with its upper limit."
+    columns = ("axis", *terms, "all (deg)")
+    return Table(title=f"Angle after {AFTER_S:.0f} s", columns=columns, rows=rows, form=".2g", note=note)
+
+
+def _coefficients(fit: NoiseFit, triad: str) -> Table:
+    """Return the coefficients of a triad in the units of data sheets."""
+    rows = list[tuple[Cell, ...]]()
+    for axis in getattr(fit, triad):
+        for name, label in TERMS[triad].items():
+            coefficient: NoiseCoefficient = getattr(axis, name)
+            unit, factor = DATA_SHEET.get(coefficient.unit, (coefficient.unit, 1.0))
+            low, high = (factor * end for end in coefficient.interval)
+            rows.append((axis.axis, label, factor * coefficient.value, low, high, unit))
+    return Table(
+        title={"gyro": "Gyroscopes", "accel": "Accelerometers"}[triad],
+        columns=("axis", "coefficient", "value", "95 % from", "to", "unit"),
+        rows=rows,
+        note="Without a value, the recording determines only the upper limit.",
+        figure=lambda: draw_allan_fit(fit, triad, TERMS[triad]),
+    )
+
+
+def _deviations(fit: NoiseFit, triad: str) -> Table:
+    axes: Sequence[AxisNoise] = getattr(fit, triad)
+    unit = getattr(fit, f"{triad}_unit")
+    rows = np.column_stack([axes[0].curve.taus_s, *(axis.curve.deviation for axis in axes)]).tolist()
+    columns = ("averaging time (s)", *(f"{axis.axis} ({unit})" for axis in axes))
+    return Table(title=f"Allan deviation, {triad}", columns=columns, rows=rows, form=".4g")
+
+
+def _axis_data(axis: AxisNoise) -> dict[str, object]:
+    """Return the coefficients of an axis in SI units, or in the unit of the readings."""
+    keys = ("value", "interval", "unit", "reason")
+    coefficients = {name: getattr(axis, name) for name in TERMS["gyro"]}
+    return {"axis": axis.axis} | {name: {key: getattr(c, key) for key in keys} for name, c in coefficients.items()}

@@ -2,12 +2,11 @@
 
 from pathlib import Path
 
-from undrift.base.options import verb
-from undrift.base.summary import Summary
+from undrift.io.sample import write_sample
+from undrift.report import Report
 
 
-@verb
-def sample(folder: Path = Path("sample"), /) -> Summary:
+def sample(folder: Path = Path("sample"), /) -> Report:
     """Write the sample recordings of the package: six faces, rate table, soaks, a rest, a sit-to-stand task with
     optics.
 
@@ -16,13 +15,10 @@ def sample(folder: Path = Path("sample"), /) -> Summary:
     folder : Path
         A new folder.
     """
-    from undrift.io.sample import write_sample
-
     write_sample(folder)
-    return Summary(
+    return Report(
         title="Recordings to try",
-        answer="Recordings of a simulated device, to try undrift.",
-        data={"folder": str(folder)},
-        written=(folder,),
-        next=("info", folder / "bench"),
+        answer="These recordings of a simulated device are for trying undrift.",
+        written=[folder],
+        next_command=["info", folder / "bench"],
     )

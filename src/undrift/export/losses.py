@@ -1,7 +1,7 @@
 """Parts of a calibration that a target does not contain, as sentences with figures."""
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -24,15 +24,12 @@ class Exported:
         Requirements for the user of the file.
     more : tuple of str
         Further files, written next to it.
-    figures : mapping
-        Sizes and error bounds, for ``--json``.
     """
 
     text: str
     not_carried: tuple[str, ...]
     notes: tuple[str, ...] = ()
     more: tuple[str, ...] = ()
-    figures: Mapping[str, object] = field(default_factory=dict)
 
 
 Part = Literal[

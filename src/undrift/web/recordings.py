@@ -213,12 +213,13 @@ class Recordings:
         options = stated(worn=form.worn, movement=form.movement, calibration=calibration)
         options = *stored.options(), *options, *stated(output=calibration and copy)
         outcome = await self.bench.command("mount", stored.path, *options)
-        self._take(stored, "mount", outcome, [copy] if outcome.answer.get("output") else [])
-        stored.mounting = str(outcome.answer.get("statement") or "")
+        self._take(stored, "mount", outcome, [copy] if outcome.answer.get("written") else [])
+        axes = outcome.answer.get("tables", {}).get("body_axes_in_the_device")
+        stored.mounting = str(outcome.answer["answer"]) if axes else ""
         if stored.mounting and calibration:
             self.visit.calibration, form.forward, form.up = copy, "", ""
         elif stored.mounting:
-            form.forward, form.up = (outcome.answer["sides"][way] for way in ("forward", "up"))
+            form.forward, form.up = axes[0]["side"], axes[2]["side"]
 
     async def validate(self, stored: StoredFile, reference: StoredFile) -> None:
         """Compare a recording with its optics, in degrees."""
@@ -494,12 +495,12 @@ def _wearing_form(visit: "Visit", stored: StoredFile) -> None:
     with parts.section("How it is worn"):
         parts.text("h3", "How it is worn")
         if mounting:
-            parts.text("p", f"Mounting of the calibration, used for the pitch unless sides are named: {mounting}.")
+            parts.text("p", f"Mounting of the calibration, used for the pitch unless sides are named: {mounting}")
         else:
             why = "" if visit.calibration else " Without a calibration the nearest sides are taken."
             parts.text("p", f"On which part of the body is the device worn? The pitch requires its mounting.{why}")
             if stored.mounting:
-                parts.text("p", f"{stored.mounting}.")
+                parts.text("p", stored.mounting)
         with parts.folded("Find the mounting from this recording") as find:
             if not mounting:
                 find.props("open")
