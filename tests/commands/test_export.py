@@ -93,5 +93,5 @@ def test_a_bad_verdict_is_written_and_ends_with_1(undrift, bench, tmp_path):
     (tmp_path / "bad.json").write_text(json.dumps(held))
     answer = undrift("export", tmp_path / "bad.json", "--target", "c", "-o", tmp_path / "a.h")
     assert (answer.code, answer.err) == (1, "")
-    assert "The calibration's verdict is bad" in answer.out
+    assert "The verdict of the calibration is bad" in answer.out
     assert (tmp_path / "a.c").exists()

@@ -82,7 +82,7 @@ def test_a_device_put_on_otherwise_than_before_is_warned_of(undrift, worn, tmp_p
     write_calibration(replace(model, mounting=turned), tmp_path / "before.json")
     words = ("--worn", "lower-back", "--calibration", tmp_path / "before.json")
     said = undrift.good("mount", worn / "walk.parquet", *words).out
-    assert "left and right swapped, front and back swapped, 180 deg off" in said
+    assert "left and right swapped, front and back swapped: 180 deg off" in said
     assert "Not saved" in said
 
 
