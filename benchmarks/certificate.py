@@ -16,8 +16,8 @@ from benchmarks.erring_bench import chain_that_errs, drawn_slope, even_rise
 from benchmarks.erring_bench.rate_table import ARM_M, RANGE, RATES, USUAL
 from undrift.arrays import FloatArray
 from undrift.calibration.calibrate import calibrate
+from undrift.calibration.expanded import block_of, expand
 from undrift.calibration.settings import CalibrateSettings
-from undrift.commands.expanded import block_of, expand
 from undrift.model import Calibration
 from undrift.record import Session, Still, Turn
 from undrift.sim.device.presets import random_device

@@ -22,7 +22,6 @@ from annotated_types import Ge
 
 from undrift.arrays import BoolArray, FloatArray, Shape, freeze
 from undrift.base.codec import AnyNumber, Gap, Key, Named, TableRows, stored, tree_of
-from undrift.base.summary import Shown
 from undrift.errors import InputError
 from undrift.findings import Finding as Finding
 from undrift.findings import Status as Status
@@ -30,6 +29,7 @@ from undrift.findings import Verdict as Verdict
 from undrift.findings import level_of as level_of
 from undrift.frames import quaternion_product
 from undrift.record import Axis, FileMap
+from undrift.shown import Shown
 from undrift.units import Quantity, si_factor
 
 Rounding = Literal["nearest", "floor", "toward_zero"]

@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, Shape, bridged, freeze, runs
-from undrift.base.summary import Shown, at
+from undrift.base.summary import at
 from undrift.calibration.triads import check_triads
 from undrift.correction.rest import (
     FEWEST,
@@ -50,6 +50,7 @@ from undrift.kernels.attitude import filtered_attitude
 from undrift.model import AXES, BodyMounting, TriadModel
 from undrift.record import FACES, Face, Record, Still
 from undrift.segments import unpadded
+from undrift.shown import Shown
 from undrift.sync import padding
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 
@@ -276,7 +277,8 @@ class Orientation(Shown):
     def __post_init__(self) -> None:
         freeze(self)
 
-    def _rows(self) -> dict[str, str]:
+    def facts(self) -> dict[str, str]:
+        """Return the rows of the value's table: what, and its value with unit."""
         angles = (("inclination", self.inclination), ("pitch", self.pitch), ("heading", self.heading))
         spans = {
             name: f"{np.nanmin(angle) / RADIAN_PER_DEGREE:.1f} to {np.nanmax(angle) / RADIAN_PER_DEGREE:.1f} deg"

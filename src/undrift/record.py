@@ -16,9 +16,10 @@ from numpy.typing import ArrayLike
 
 from undrift.arrays import BoolArray, FloatArray, Shape, freeze, frozen
 from undrift.base.codec import stored
-from undrift.base.summary import Shown, at
+from undrift.base.summary import at
 from undrift.errors import InputError
 from undrift.frames import Frame
+from undrift.shown import Shown
 from undrift.units import Quantity, canonical_unit, si_factor
 
 if TYPE_CHECKING:
@@ -188,7 +189,8 @@ class Record(Shown):
         frame: pd.DataFrame = at("undrift.io.dataframes:frame_of")(self)
         return frame
 
-    def _rows(self) -> dict[str, str]:
+    def facts(self) -> dict[str, str]:
+        """Return the rows of the value's table: what, and its value with unit."""
         triads = (("gyroscope", self.gyro, self.gyro_unit), ("accelerometer", self.accel, self.accel_unit))
         temp, span = self.temp_c, ""
         if temp is not None and not np.isnan(temp).all():

@@ -45,8 +45,8 @@ def test_a_bare_log_gives_the_numbers_of_its_session_and_says_what_it_used(undri
     folder.mkdir()
     entry = f'[[recording]]\nfile = "{log}"\n{BOARD}'
     (folder / "session.toml").write_text(HEAD.format(serial="imu0", gravity=9.80665) + entry)
-    stated = undrift.good("calibrate", folder, "--json").json()
-    told = undrift.good("calibrate", log, "--map", board / "board.toml", "--serial", "imu0", "--json").json()
+    stated = undrift.good("calibrate", folder, "--json").json()["data"]
+    told = undrift.good("calibrate", log, "--map", board / "board.toml", "--serial", "imu0", "--json").json()["data"]
     same(stated, told)
     assert (told["device"], told["gravity_m_s2"]) == ("imu0", 9.80665)
     used = told["provenance"]["settings"]
@@ -56,8 +56,8 @@ def test_a_bare_log_gives_the_numbers_of_its_session_and_says_what_it_used(undri
     assert int(used["stills"].removesuffix(" found")) >= 17
     assert stated["provenance"]["settings"]["gravity"] == "stated"
     text = undrift.good("calibrate", log, "--map", board / "board.toml").out
-    assert "gravity 9.80665 m/s2 (standard, assumed)" in text
-    assert f"still phases: {used['stills']}; faces: {used['faces']}; turns: none" in text
+    assert "Gravity 9.80665 m/s2 (standard gravity, assumed)" in text
+    assert f"Still phases: {used['stills']}. Faces: {used['faces']}. Turns: none." in text
     assert "gravity was assumed" in text
 
 
@@ -110,7 +110,7 @@ def test_a_session_states_what_the_options_would_and_stands_alone(undrift, bench
 
 def test_python_takes_what_the_command_line_takes_and_sees_the_same(undrift, board):
     log = data_path("multipos_mpu9150", "imu0.log.gz")
-    told = undrift.good("calibrate", log, "--map", board / "board.toml", "--serial", "imu0", "--json").json()
+    told = undrift.good("calibrate", log, "--map", board / "board.toml", "--serial", "imu0", "--json").json()["data"]
     record = read_record(log, read_map(board / "board.toml"))
     made = calibrate(record, serial="imu0")
     same(told, calibration_json(made))

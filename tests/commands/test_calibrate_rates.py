@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from testkit.command_line import row_of
 from testkit.data import show
 from testkit.rate_table_log import GAIN, OFFSET, bench
 from undrift.io.formats import write_record
@@ -13,14 +14,14 @@ def test_calibrate_takes_the_rates_of_a_log(undrift, tmp_path):
     write_record(record, tmp_path / "table.parquet")
     words = ("calibrate", tmp_path / "table.parquet", "--rates", path, "--gravity-m-s2", 9.81, "--json")
     told = undrift(*words).json()
-    matrix, offset = np.array(told["gyro"]["matrix"]), np.array(told["gyro"]["offset"])
+    matrix, offset = np.array(told["data"]["gyro"]["matrix"]), np.array(told["data"]["gyro"]["offset"])
     rate = (np.eye(3) * 40.0) @ GAIN.T + OFFSET  # dps
     off = np.degrees((rate - offset) @ matrix.T) - 40.0 * np.eye(3)
     show("corrected rates off by", f"{np.abs(off).max():.4f}", "0.05 deg/s at 40 deg/s")
-    assert told["gyro"]["method"].startswith("rate-table")
+    assert told["data"]["gyro"]["method"].startswith("rate-table")
     assert np.abs(off).max() < 0.05
-    assert (told["rates"]["dwells"], told["rates"]["left_out"]) == (len(dwells), 0)
-    assert abs(told["rates"]["clocks"][0]["drift"] - 2e-4) < 1e-4
+    assert row_of(told, "recordings", "table.parquet")["turns used"] == len(dwells)
+    assert abs(row_of(told, "clock_of_the_log", "table.parquet")["drift (ppm)"] - 200.0) < 100.0
 
 
 def test_log_of_another_run_is_refused(undrift, tmp_path):

@@ -9,9 +9,8 @@ import pytest
 
 from testkit.command_line import contents
 from undrift.calibration.calibrate import calibrate
-from undrift.commands.certificate import certificate_content, departures
 from undrift.io.store import content_hash, read_calibration
-from undrift.report.calibration import write_certificate
+from undrift.report.certificate import certificate_report, departures, write_certificate
 from undrift.sim.device.presets import random_device
 from undrift.sim.sessions import simulate_session
 
@@ -21,8 +20,8 @@ def test_writes_a_page_and_says_its_hash(undrift, bench, tmp_path):
     answer = undrift.good("certificate", bench / "calibration.json", "-o", output, "--json").json()
     assert "<h1>Calibration certificate</h1>" in output.read_text()
     assert list(contents(tmp_path)) == ["c.html"]
-    assert answer["content_sha256"] == content_hash(read_calibration(bench / "calibration.json"))
-    assert [triad["title"] for triad in answer["triads"]] == ["Gyroscopes", "Accelerometers"]
+    assert answer["data"]["content_sha256"] == content_hash(read_calibration(bench / "calibration.json"))
+    assert {"accelerometers_results", "gyroscopes_results", "gyroscopes_uncertainty_budget"} <= answer["tables"].keys()
 
 
 def without_covariance(content):
@@ -72,8 +71,8 @@ STATED = ("--number", "K-117", "--laboratory", "Motion laboratory, Bern", "--ope
 
 def test_statements_are_on_the_page_and_the_rest_are_blank_lines(undrift, bench, tmp_path):
     words = ("certificate", bench / "calibration.json", "-o", tmp_path / "c.html", *STATED)
-    stated = undrift.good(*words, "--json").json()["statement"]
-    assert stated == {"number": "K-117", "laboratory": "Motion laboratory, Bern", "operator": "R. Muster"}
+    stated = undrift.good(*words, "--json").data()["statement"]
+    assert [*stated.values()] == ["K-117", "Motion laboratory, Bern", "R. Muster"]
     page = (tmp_path / "c.html").read_text()
     for text in stated.values():
         assert f"<dd>{text}</dd>" in page
@@ -102,19 +101,20 @@ def test_limits_are_decided_by_the_departure(unit):
     value, expanded = departures("gyro", gyro)["scale"]
     assert value == pytest.approx(2.0, rel=1e-3)
     assert expanded > 0.0
-    judged = certificate_content(replace(made, gyro=gyro), limits={"gyro_scale_percent": 2.1, "gyro_offset_dps": 0.5})
-    assert [row["result"] for row in judged["conformity"]] == ["within", "outside"]
+    (judged,) = certificate_report(replace(made, gyro=gyro), {"gyro_scale_percent": 2.1, "gyro_offset_dps": 0.5}).tables
+    assert [row[-1] for row in judged.rows] == ["within", "outside"]
 
 
 def test_counts_have_no_nominal_scale(unit):
-    judged = certificate_content(unit[1], limits={"gyro_scale_percent": 1.0, "gyro_cross_percent": 5.0})
-    assert [row["result"] for row in judged["conformity"]] == ["nominal unknown", "within"]
+    (judged,) = certificate_report(unit[1], {"gyro_scale_percent": 1.0, "gyro_cross_percent": 5.0}).tables
+    assert [row[-1] for row in judged.rows] == ["nominal unknown", "within"]
 
 
 def test_zero_has_no_sign(unit, tmp_path):
     small = unit[1].gyro.matrix.copy()
     small[0, 1] = -1e-12
-    write_certificate(replace(unit[1], gyro=replace(unit[1].gyro, matrix=small)), tmp_path / "c.html")
+    made = replace(unit[1], gyro=replace(unit[1].gyro, matrix=small))
+    write_certificate(made, tmp_path / "c.html", certificate_report(made, {}), {})
     assert not re.search(r">[-−]0(\.0+)?<", (tmp_path / "c.html").read_text())
 
 
@@ -129,11 +129,10 @@ def unit():
     return device, calibrate(simulate_session("bench", device, rng=rng))
 
 
-def test_counts_stand_beside_rad_per_second(unit):
-    gyro = unit[1].gyro
-    triad = certificate_content(unit[1])["triads"][0]
-    row = next(row for row in triad["results"] if row[0] == "offset_y")
-    assert (row[2], triad["si"]) == ("count", "rad/s")
-    assert float(row[6]) == pytest.approx(gyro.offset[1] * np.diag(gyro.matrix).mean(), rel=1e-2)
-    row = next(row for row in triad["results"] if row[0] == "m_xx")
-    assert float(row[6]) == pytest.approx(gyro.matrix[0, 0], rel=1e-3)
+def test_results_are_those_of_the_file_with_their_expanded_uncertainty(unit):
+    gyro, results = unit[1].gyro, certificate_report(unit[1], {}).details[2]
+    rows = {row[0]: row for row in results.rows}
+    assert rows["offset_y"][1].value == gyro.offset[1]
+    assert rows["offset_y"][1].uncertainty == pytest.approx(2.0 * gyro.standard_uncertainty[10])
+    assert (rows["offset_y"][2], rows["m_xx"][2]) == ("count", "rad/s per count")
+    assert rows["m_xx"][3] == pytest.approx(2e2 * gyro.standard_uncertainty[0] / np.diag(gyro.matrix).mean())  # %

@@ -39,13 +39,6 @@ def soaks(tmp_path_factory):
     return folder
 
 
-def slopes_of(text):
-    """Return slope and uncertainty of each axis of the first table."""
-    rows = re.findall(r"^ ([xyz]) +([-+][\d.]+) \+- ([\d.]+)", text, re.MULTILINE)[:3]
-    assert [row[0] for row in rows] == ["x", "y", "z"]
-    return np.array([row[1:] for row in rows], float)
-
-
 @pytest.mark.slow
 def test_a_full_session_is_good_and_every_table_is_shown_and_drawn(undrift, soaks, tmp_path):
     words = ["drift", soaks / "session", "--calibration", soaks / "calibration.json"]
@@ -54,12 +47,11 @@ def test_a_full_session_is_good_and_every_table_is_shown_and_drawn(undrift, soak
     for said in (
         "verdict: good",
         "hysteresis half-width",
-        "scale factor",
+        "Scale factor",
         "extrapolated",
     ):
         assert said in out, said
-    sensitivity = re.findall(r"^ [xyz] +([-+]0\.2\d+) \+- ", out, re.MULTILINE)
-    assert len(sensitivity) == 3  # 0.2 %/K by the preset
+    assert len(re.findall(r"^ [xyz] +(-?0\.(?:20|19)\d*) ± ", out, re.MULTILINE)) == 3  # 0.2 %/K by the preset
     assert (tmp_path / "p.html").read_text().count("<svg") >= 4
     assert len(out.splitlines()) < 66  # three findings take up to three lines each
     held = read_calibration(tmp_path / "c.json")

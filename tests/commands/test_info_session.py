@@ -52,14 +52,14 @@ def test_a_session_that_was_written_calibrates_as_the_bare_recording_does(undrif
     assert (told["stills"], told["faces"], told["turns"]) == (len(session.stills), [], 0)
     assert (session.gravity_m_s2, session.gravity_source) == (9.80665, "standard")
     assert "missing: standard gravity is assumed" in (board / "s" / "session.toml").read_text()
-    one = undrift.good("calibrate", board / "s", "--json").json()
+    one = undrift.good("calibrate", board / "s", "--json").data()
     assert one["provenance"]["settings"]["gravity"] == "standard"
-    at = undrift.good("calibrate", board / "s", "--json", "--latitude-deg", 0, "--height-m", 0).json()
+    at = undrift.good("calibrate", board / "s", "--json", "--latitude-deg", 0, "--height-m", 0).data()
     assert (at["gravity_m_s2"], at["provenance"]["settings"]["gravity"]) == (
         pytest.approx(9.78033, abs=1e-5),
         "latitude and height",
     )
-    other = undrift.good("calibrate", *words, "--json").json()
+    other = undrift.good("calibrate", *words, "--json").data()
     for triad in ("accel", "gyro"):
         sigma = np.sqrt(np.diag(np.array(other[triad]["covariance"])))[:9].reshape(3, 3)
         apart = np.abs(np.array(one[triad]["matrix"]) - other[triad]["matrix"])

@@ -34,7 +34,7 @@ def test_the_sample_runs_through_the_commands(undrift, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     undrift.good("sample")
     monkeypatch.chdir(tmp_path / "sample")
-    made = undrift.good("calibrate", "bench", "-o", "calibration.json", "--json").json()
+    made = undrift.good("calibrate", "bench", "-o", "calibration.json", "--json").data()
     assert made["gyro"]["method"] == "rate-table/affine"
     assert made["accel"]["method"] == "six-face/affine"
     assert undrift.good("noise", "rest.parquet", "--calibration", "calibration.json", "--json").data()["gyro"]

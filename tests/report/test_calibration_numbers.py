@@ -1,15 +1,9 @@
 """Numbers with their uncertainty, and the tables of a calibration."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from undrift import calibrate
 from undrift.base.summary import concise
-from undrift.commands.calibrate import calibration_sections
-from undrift.sim.device.presets import random_device
-from undrift.sim.sessions import simulate_session
 
 
 @pytest.mark.parametrize(
@@ -46,26 +40,3 @@ def test_what_is_printed_reads_back_to_half_a_digit():
         shown, sigma = read_back(concise(value, size))
         assert abs(sigma / size - 1.0) <= 0.051  # two digits, the second rounded
         assert abs(shown - value) <= 0.051 * size + 0.5 * (size >= 10.0)
-
-
-@pytest.fixture(scope="module")
-def calibration():
-    rng = np.random.default_rng(11)
-    return calibrate(simulate_session("bench", random_device(rng), rng=rng))
-
-
-def test_notes_give_residual_rank_range_and_g_sensitivity(calibration):
-    (section,) = calibration_sections(replace(calibration, accel=None))
-    assert "rad/s rms over" in section.text[1]
-    assert f"rank {calibration.gyro.rank}" in section.text[1]
-    assert (len(section.text) == 3) == (calibration.gyro.g_sensitivity is not None)
-    gyro = replace(calibration.gyro, g_sensitivity=np.full((3, 3), 1e-4))
-    (section,) = calibration_sections(replace(calibration, accel=None, gyro=gyro))
-    assert len(section.text) == 3
-    assert "up to 0.0001 rad/s per m/s2" in section.text[2]
-
-
-def test_a_section_for_each_triad_that_was_fitted(calibration):
-    titles = [section.title for section in calibration_sections(calibration)]
-    assert [title.split(":")[0] for title in titles] == ["Accelerometers", "Gyroscopes"]
-    assert len(calibration_sections(replace(calibration, gyro=None))) == 1

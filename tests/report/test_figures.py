@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from testkit.pictures import cut_texts
-from undrift.commands.pieces import Piece
+from undrift.calibration.pieces import Piece
 from undrift.errors import InputError
 from undrift.record import Record
 from undrift.report.figures import (

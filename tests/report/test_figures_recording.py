@@ -8,9 +8,9 @@ import pytest
 from testkit.data import data_path
 from testkit.hand_held import Tremor, hand_held_log
 from undrift.calibration.calibrate import calibrate, calibrated
+from undrift.calibration.pieces import pieces_of
 from undrift.calibration.session import look
 from undrift.calibration.settings import CalibrateSettings
-from undrift.commands.pieces import pieces_of
 from undrift.record import Record, Session, Still, Turn
 from undrift.report.figures import draw_recording, svg_of
 from undrift.sim.device.presets import random_device

@@ -21,23 +21,10 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from html import escape
 from pathlib import Path
-from typing import Any, Literal, Protocol, TypeAlias, TypeVar
+from typing import Any, Literal, TypeAlias, TypeVar
 
 from undrift.findings import SHOWN_FIRST, Finding, Verdict, most_consequential_first
 
-DRAWN_BY = {
-    "Record": "undrift.report.figures:draw_record",
-    "Calibration": "undrift.report.calibration:draw_calibration",
-    "NoiseFit": "undrift.report.figures:draw_allan",
-    "DriftFit": "undrift.report.drift:draw_drift",
-    "Orientation": "undrift.report.figures:draw_orientation",
-    "Trial": "undrift.report.figures:trial_figure",
-    "Validation": "undrift.report.figures:draw_validation",
-}
-SUMMARISED_BY = {  # values that a notebook shows as the command does that makes them
-    "Calibration": "undrift.commands.calibrate:calibration_summary",
-    "DriftFit": "undrift.commands.drift:drift_summary",
-}
 NOTHING_WRITTEN = "No tables were written: add -o calibration.json to keep them"
 _SIGNED_ZERO = re.compile(r"(?<![\w.+/-])-(0(?:\.0+)?)(?![\w.])")  # as a small negative value is rounded
 Item = TypeVar("Item")
@@ -56,13 +43,6 @@ def sentence(text: str) -> str:
 def without_signed_zeros(text: str) -> str:
     """Return a text in which no zero has a sign: 0.000 for -0.000."""
     return _SIGNED_ZERO.sub(r"\1", text)
-
-
-class Picture(Protocol):
-    """A matplotlib Figure, as far as one needs it without matplotlib's types."""
-
-    def savefig(self, fname: Any, **how: Any) -> None:
-        """Write the picture, by the ending of the name."""
 
 
 def at(place: str) -> Any:
@@ -185,35 +165,19 @@ class Origin:
     date: str = field(default_factory=today)
 
 
-class Shown:
-    """A value that draws itself and is a table in a notebook."""
-
-    __slots__ = ()
-
-    def plot(self) -> Picture:
-        """Draw the value as a matplotlib Figure: a notebook shows it, ``savefig`` writes it."""
-        picture: Picture = at(DRAWN_BY[type(self).__name__])(self)
-        return picture
-
-    def _rows(self) -> dict[str, str]:
-        """Return the rows of the table: what, and its value with unit."""
-        return {}
-
-    def __str__(self) -> str:
-        if place := SUMMARISED_BY.get(type(self).__name__):
-            summary: Summary = at(place)(self)
-            return f"{summary.title}: {summary.answer}" + (
-                f"\nverdict {summary.verdict.status}" if summary.verdict else ""
-            )
-        return "\n".join([type(self).__name__, *(f"  {name}: {value}" for name, value in self._rows().items())])
-
-    def _repr_html_(self) -> str:
-        if place := SUMMARISED_BY.get(type(self).__name__):
-            return as_html(at(place)(self))
-        rows = "".join(
-            f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in self._rows().items()
-        )
-        return f"<table><caption>{type(self).__name__}</caption>{rows}</table>"
+def summary_of(report: Any) -> Summary:
+    """Return a report in the form of this module, for the commands that have not moved yet."""
+    sections = [
+        Section(title=table.title, columns=tuple(table.columns), rows=tuple(map(tuple, table.cells)), folded=folded,
+                text=(table.note,) if table.note else ())
+        for tables, folded in ((report.tables, False), (report.details, True))
+        for table in tables
+        if table.rows or table.note
+    ]  # fmt: skip
+    return Summary(
+        title=report.title, answer=report.answer, data=report.data, sections=tuple(sections), notes=tuple(report.notes),
+        verdict=Verdict.of(*report.findings), written=tuple(report.written), next=tuple(report.next_command),
+    )  # fmt: skip
 
 
 def table_section(title: str, items: Iterable[Item], cells: Cells[Item], **more: Any) -> Section:

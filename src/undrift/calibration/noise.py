@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from undrift.arrays import FloatArray, IntArray, frozen
-from undrift.base.summary import Shown
 from undrift.errors import InputError
 from undrift.findings import Finding, Level, finding
 from undrift.fit.gls import excess_variance
 from undrift.model import AXES, Verdict
 from undrift.record import Record
 from undrift.segments import BENCH_ACCEL_LIMIT, BENCH_RATE_LIMIT
+from undrift.shown import Shown
 from undrift.units import RADIAN_PER_DEGREE, is_physical
 
 # ---- overlapping Allan deviation with confidence limits
@@ -180,7 +180,8 @@ class NoiseFit(Shown):
     duration_s: float
     verdict: Verdict  # terms that are not observable, and the necessary record length
 
-    def _rows(self) -> dict[str, str]:
+    def facts(self) -> dict[str, str]:
+        """Return the rows of the value's table: what, and its value with unit."""
         rows = {"record": f"{self.duration_s:.4g} s"}
         for triad, terms in TERMS.items():
             for name, term in terms.items():

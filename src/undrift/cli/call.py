@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from cyclopts.help.protocols import HelpFormatter
 
 MOVED = {
+    "calibrate": "calibrate:calibrate",
+    "certificate": "certificate:certificate",
+    "drift": "drift:drift",
     "noise": "noise:noise",
     "twin": "twin:twin",
     "mount": "mount:mount",

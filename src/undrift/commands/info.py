@@ -24,8 +24,8 @@ from undrift.units import RADIAN_PER_DEGREE
 
 if TYPE_CHECKING:
     from undrift.arrays import FloatArray
+    from undrift.calibration.pieces import Piece
     from undrift.calibration.session import Observed
-    from undrift.commands.pieces import Piece
     from undrift.io.inspect import Description
     from undrift.model import Calibration, DriftTables
     from undrift.record import Record, Session, Still
@@ -326,7 +326,7 @@ def _span(record: "Record", piece: "Still | Piece") -> tuple[float, float]:
 
 def draw_found(session: "Session", observed: "Observed | None", name: str) -> Any:
     """Draw a recording or session with its phases."""
-    from undrift.commands.pieces import pieces_of
+    from undrift.calibration.pieces import pieces_of
 
     pieces = () if observed is None else pieces_of(observed)
     return at("undrift.report.figures:draw_recording")(session.records, pieces, title=f"{name}: found")

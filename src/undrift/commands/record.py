@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Self, TypeAlias
 
 from undrift.base.options import OptionalOutput, verb
-from undrift.base.summary import Section, Summary
+from undrift.base.summary import Section, Summary, summary_of
 from undrift.commands import Screen
 from undrift.commands.files import Place, check_output
 from undrift.errors import InputError, LinkError, UndriftError
@@ -405,6 +405,6 @@ def _calibrated(guides: Guides, output: Path, calibration: Path, place: Place) -
 
     capture = guides[0].capture
     if guides[0].step == "pose":
-        return calibrate(output, output=calibration, place=place).summary()
+        return summary_of(calibrate(output, output=calibration, place=place))
     capture.save()
-    return calibrate(capture.folder, output=calibration).summary()
+    return summary_of(calibrate(capture.folder, output=calibration))

@@ -22,7 +22,7 @@ from undrift.arrays import FloatArray, Shape, freeze
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
 from undrift.model import MOVING_NAMES, TriadModel, Vector
-from undrift.record import Record, Still
+from undrift.record import ForceUncertainty, Record, Still
 from undrift.segments import find_still, unpadded
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 
@@ -234,16 +234,23 @@ def force_covariances(record: Record, still: Still, force: FloatArray) -> dict[s
     if error is None:
         return covariances
     temp_c = np.nan if record.temp_c is None else float(np.mean(record.temp_c[still.start : still.stop]))
-    design = np.hstack((np.kron(np.eye(3), mean), np.eye(3)))  # (3, 12): E f + d
-    offset, scale = error.per_k * [_beyond(temp_c, span) for span in (error.offset_temp_c, error.matrix_temp_c)]
+    years = _years_between(error.calibrated, float(record.time[still.start]))
     noise = force.var(axis=0) / np.maximum(error.step, 1e-12) ** 2
     steady = np.exp(-2.0 * np.pi**2 * np.maximum(noise - 0.25, 0.0))  # share of rounding that dither leaves
-    return covariances | {
+    covariances |= calibrated_force_covariances(error, mean, temp_c, years)
+    return covariances | {"codes": np.diag((error.step * steady) ** 2 / 12.0)}
+
+
+def calibrated_force_covariances(
+    error: ForceUncertainty, mean: FloatArray, temp_c: float, years: float
+) -> dict[str, FloatArray]:
+    """Return the covariance of a specific force (3,), m/s2, by what is uncertain of the calibration, ``years`` after it."""
+    design = np.hstack((np.kron(np.eye(3), mean), np.eye(3)))  # (3, 12): E f + d
+    offset, scale = error.per_k * [_beyond(temp_c, span) for span in (error.offset_temp_c, error.matrix_temp_c)]
+    return {
         "calibration": design @ error.covariance @ design.T,
         "temperature": np.diag(offset**2 + (scale * mean) ** 2),
-        "ageing": np.eye(3)
-        * (TURN_ON**2 + AGEING**2 * _years_between(error.calibrated, float(record.time[still.start]))),
-        "codes": np.diag((error.step * steady) ** 2 / 12.0),
+        "ageing": np.eye(3) * (TURN_ON**2 + AGEING**2 * years),
     }
 
 

@@ -18,7 +18,6 @@ from typing import Literal
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.base.summary import Shown
 from undrift.calibration.session import ROOM_C
 from undrift.drift import observe
 from undrift.drift import temperature as thermometer
@@ -44,6 +43,7 @@ from undrift.model import (
     versions_used,
 )
 from undrift.record import Session
+from undrift.shown import Shown
 
 RANGE_C = (18.0, 75.0)  # the note's
 STEP_C = 0.5

@@ -16,6 +16,9 @@ ACCEL_FLICKER = 0.05 * MILLI_G
 # flicker of the gyroscopes' offset, rad/s (consumer parts: bias instability of 3 to 15 deg/h). Assumed.
 GYRO_FLICKER = 8.0 / 3600.0 * RADIAN_PER_DEGREE
 
+# angle random walk of the gyroscopes, rad/sqrt(s) (consumer parts: 0.003 to 0.01 deg/sqrt(s)). Assumed.
+GYRO_NOISE = 0.006 * RADIAN_PER_DEGREE
+
 # g-sensitivity of the gyroscopes, rad/s per m/s2 (data sheets of consumer parts: 0.1 deg/s/g, MPU-6050).
 G_SENSITIVITY = 0.1 * RADIAN_PER_DEGREE / STANDARD_GRAVITY
 

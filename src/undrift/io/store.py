@@ -18,10 +18,6 @@ from undrift.model import Calibration, Verdict
 from undrift.record import FileMap
 
 KIND = "undrift.calibration"
-ANSWER_KEYS = frozenset({
-    "lacking", "motion", "version", "findings", "result", "error",
-})  # fmt: skip
-# keys of ``undrift calibrate --json`` besides the calibration
 codec.stored(form=ColumnMap, read=file_map_of, write=lambda file_map: json.loads(file_map.text))(FileMap)
 
 
@@ -83,8 +79,6 @@ def read_calibration(path: Path | str) -> Calibration:
 
 def calibration_of(content: Any, path: str) -> Calibration:
     """Return the calibration of a parsed JSON object. Messages call it by `path`."""
-    if isinstance(content, dict):
-        content = {key: value for key, value in content.items() if key not in ANSWER_KEYS}
     return codec.value_of(Calibration, content, path)
 
 

@@ -1,27 +1,189 @@
-"""Pictures of thermal fits: offset, scale and dynamic drift over temperature.
+"""The report of a thermal fit: errors before and after, offset, scale and dynamic drift over temperature, and their figures.
 
 Warming is red and cooling blue. Ranges without data are hatched.
 """
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from undrift.arrays import runs
-from undrift.commands.drift import TriadSummary, shown_unit, summarise
+from undrift.arrays import BoolArray, FloatArray, runs
+from undrift.drift.fit import DriftFit
+from undrift.drift.offset import TriadDrift, cooling
+from undrift.drift.rates import ScaleFit
 from undrift.errors import InputError
-from undrift.model import AXES
+from undrift.io.store import calibration_json
+from undrift.model import AXES, DynamicDrift, Sensor
 from undrift.report import figures
-from undrift.units import RADIAN_PER_DEGREE
+from undrift.report.report import Cell, Estimate, Report, Table
+from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, STANDARD_GRAVITY
+from undrift.validation.table_worth import TableWorth, expected_errors
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from undrift.arrays import BoolArray, FloatArray
-    from undrift.drift.fit import DriftFit
-    from undrift.drift.rates import ScaleFit
-    from undrift.model import DynamicDrift
+TRIADS: tuple[tuple[Literal["Gyroscope", "Accelerometer"], Sensor], ...] = (
+    ("Gyroscope", "gyro"),
+    ("Accelerometer", "accel"),
+)
+SHOWN_UNIT = {
+    "rad/s": ("deg/s", 1.0 / RADIAN_PER_DEGREE),
+    "m/s2": ("mg", 1e3 / STANDARD_GRAVITY),
+}  # and how many are one SI
+
+
+def drift_report(fit: DriftFit) -> Report:
+    """Return the content of a thermal fit, and its benefit for a standard motion: the largest error before and after."""
+    worth = _worth(fit)
+    summaries = [(name, triad) for name, sensor in TRIADS if (triad := summarise(fit, sensor)) is not None]
+    tables = [*_before_and_after(worth), *(_offsets(name, triad) for name, triad in summaries), *_scale(fit)]
+    return Report(
+        title=f"Thermal drift of {fit.calibration.device or 'device without a serial number'}",
+        answer=_answer(fit, worth),
+        tables=tables,
+        details=[*_dynamic(fit)],
+        findings=fit.verdict.findings,
+        judged=True,
+        figures=[lambda: draw_drift(fit)] if summaries else [],
+        data=calibration_json(fit.calibration),
+    )
+
+
+def _answer(fit: DriftFit, worth: TableWorth | None) -> str:
+    data = f"{len(fit.rests)} blocks of rest and {len(fit.steps)} dwells at known rates"
+    if worth is None:
+        return f"{data} give no table of gyroscope offsets over temperature."
+    return (
+        f"In a lean {worth.motion}, the error is up to {worth.constant_deg:.2f} deg without tables and "
+        f"{worth.tables_deg:.2f} deg with these tables. {worth.answer}."
+    )
+
+
+def _worth(fit: DriftFit) -> TableWorth | None:
+    """Return the benefit of the tables, or None without a table of the gyroscopes."""
+    finite = np.isfinite(fit.rests.gyro_variance).all(axis=1)
+    variance = np.median(fit.rests.gyro_variance[finite], axis=0) if finite.any() else np.zeros(3)
+    return expected_errors(fit.calibration, rest_variance=variance)
+
+
+def _before_and_after(worth: TableWorth | None) -> Iterator[Table]:
+    if worth is None:
+        return
+    rows = [("without tables", worth.constant_deg), ("with these tables, 95 %", worth.tables_deg)]
+    if worth.turned:
+        rows.insert(1, ("without tables, offset of a rest subtracted", worth.rest_deg))
+        rows.append(("with these tables and that rest, 95 %", worth.both_deg))
+    note = f"The motion is a lean {worth.motion}, about the worst axis."
+    yield Table(
+        title="Largest error of a lean", columns=("correction", "error (deg)"), rows=rows, form=".2f", note=note
+    )
+
+
+# ---- offsets over temperature
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TriadSummary:
+    """Offset over temperature of three sensors, with n nodes and k blocks of rest, values in ``unit``."""
+
+    unit: str  # rad/s or m/s2
+    seen_c: tuple[float, float]  # lowest and highest temperature of the data, degC
+    temp_c: FloatArray  # (n,), nodes, degC
+    departure: FloatArray  # (n, 3), from the constant offset
+    uncertainty: FloatArray  # (n, 3), standard uncertainty
+    extrapolated: BoolArray  # (n,), True if no data were near
+    fit: TriadDrift | None  # None if the table is of several poses
+    factor: FloatArray  # (3,), unit per raw unit
+    constant: FloatArray  # (3,), offset of the calibration, raw unit
+    block_cooling: FloatArray  # (k,), 1 while cooling, -1 while warming
+
+
+def summarise(fit: DriftFit, sensor: Sensor) -> TriadSummary | None:
+    """Return the offsets of a triad over temperature, or None without a table."""
+    triad = fit.calibration.triad(sensor)
+    table, model = triad.offsets, triad.model
+    if table is None or model is None or table.uncertainty is None or table.extrapolated is None:
+        return None
+    drift = fit.static.gyro if sensor == "gyro" else fit.static.accel
+    seen = table.temp_c[~table.extrapolated] if not table.extrapolated.all() else table.temp_c
+    factor = model.si_per_reading(triad.quantity)
+    return TriadSummary(
+        unit=SI_UNIT[triad.quantity],
+        seen_c=(float(seen[0]), float(seen[-1])) if drift is None else drift.span_c,
+        temp_c=table.temp_c,
+        departure=(table.value - model.offset) * factor,
+        uncertainty=table.uncertainty * factor,
+        extrapolated=table.extrapolated,
+        fit=drift,
+        factor=factor,
+        constant=model.offset,
+        block_cooling=np.zeros(0) if drift is None else cooling(drift.offsets.blocks),
+    )
+
+
+def _offsets(name: str, triad: TriadSummary) -> Table:
+    """Return a row for each axis: slope, uncertainty of the table, hysteresis, and differences between sessions."""
+    (unit, factor), fit = SHOWN_UNIT[triad.unit], triad.fit
+    near = np.flatnonzero(~triad.extrapolated | triad.extrapolated.all())
+    usual = np.median(triad.uncertainty[near], axis=0) * factor
+    raw, ends = triad.factor * factor, near[[0, -1]] if len(near) > 1 else np.array([0, -1])
+    span_c = np.diff(triad.temp_c[ends])
+    slope = np.diff(triad.departure[ends], axis=0)[0] / span_c * factor
+    slope_uncertainty = np.linalg.norm(triad.uncertainty[ends], axis=0) / span_c * factor
+    if fit is not None:
+        slope, slope_uncertainty = fit.slope * raw, fit.slope_uncertainty * np.abs(raw)
+    columns: dict[str, list[Cell]] = {
+        "axis": [*AXES],
+        f"slope ({unit} per degC)": [*map(Estimate, slope.tolist(), slope_uncertainty.tolist())],
+        f"table u ({unit})": usual.tolist(),
+    }
+    if fit is not None and fit.hysteresis is not None and fit.hysteresis_uncertainty is not None:
+        halves = (fit.hysteresis * raw).tolist(), (fit.hysteresis_uncertainty * np.abs(raw)).tolist()
+        columns[f"hysteresis half-width ({unit})"] = [*map(Estimate, *halves)]
+    if fit is not None and fit.turn_on is not None:
+        columns[f"between sessions ({unit})"] = (np.sqrt(fit.turn_on.variance) * np.abs(raw)).tolist()
+    (low, high), nodes, count = triad.seen_c, triad.temp_c, int(triad.extrapolated.sum())
+    step = (nodes[-1] - nodes[0]) / (len(nodes) - 1)
+    note = (
+        f"Measured from {low:.1f} to {high:.1f} degC. {len(nodes)} nodes from {nodes[0]:g} to {nodes[-1]:g} degC by {step:g}"
+        + (f", {count} of them extrapolated." if count else ".")
+    )
+    return Table(
+        title=f"{name} offset over temperature",
+        columns=[*columns],
+        rows=[*zip(*columns.values(), strict=True)],
+        form=".2g",
+        note=note,
+        figure=lambda: draw_offsets(triad),
+    )
+
+
+# ---- scale factor and dynamic drift
+
+
+def _scale(fit: DriftFit) -> Iterator[Table]:
+    """Yield the change of the scale factors over the nodes with data, relative to the reference temperature."""
+    if (scale := fit.scale) is None:
+        return
+    temp_c, near = scale.drift.temp_c, np.flatnonzero(~np.asarray(scale.drift.gyro_extrapolated))
+    forward, sigma = (table.diagonal(axis1=1, axis2=2) for table in (scale.forward, scale.uncertainty))
+    reference = forward[np.abs(temp_c - fit.calibration.reference_temp_c).argmin()]
+    percent = 100.0 / (reference * (temp_c[near[-1]] - temp_c[near[0]]))
+    slope = np.where(np.isfinite(sigma[0]), (forward[near[-1]] - forward[near[0]]) * percent, np.nan)
+    slope_uncertainty = np.hypot(sigma[near[0]], sigma[near[-1]]) * np.abs(percent)
+    rows = [*zip(AXES, map(Estimate, slope.tolist(), slope_uncertainty.tolist()), strict=True)]
+    title, columns = "Scale factor of the gyroscopes over temperature", ("axis", "slope (% per degC)")
+    yield Table(title=title, columns=columns, rows=rows, figure=lambda: draw_scale(scale))
+
+
+def _dynamic(fit: DriftFit) -> Iterator[Table]:
+    dynamic = None if fit.calibration.drift is None else fit.calibration.drift.dynamic
+    if dynamic is not None and dynamic.error.any():
+        yield Table(title="Dynamic drift", figure=lambda: draw_dynamic(dynamic))
+
 
 # ---- pictures
 
@@ -37,7 +199,7 @@ def draw_offsets(summary: TriadSummary) -> "Figure":
     ranges.
     """
     figure, panels = figures.new_figure(3, height=1.7, columns=2)
-    unit, factor = shown_unit(summary.unit)
+    unit, factor = SHOWN_UNIT[summary.unit]
     margin = 0.02 * float(np.ptp(summary.temp_c))
     for k, axis in enumerate(AXES):
         for axes, level in zip(panels[2 * k : 2 * k + 2], (summary.departure[:, k], np.zeros(1)), strict=True):
@@ -55,7 +217,7 @@ def draw_offsets(summary: TriadSummary) -> "Figure":
     return figure
 
 
-def draw_drift(fit: "DriftFit") -> "Figure":
+def draw_drift(fit: DriftFit) -> "Figure":
     """Draw the offsets over temperature, of the gyroscopes where they were fitted."""
     summary = summarise(fit, "gyro") or summarise(fit, "accel")
     if summary is None:
@@ -63,7 +225,7 @@ def draw_drift(fit: "DriftFit") -> "Figure":
     return draw_offsets(summary)
 
 
-def _draw_blocks(axes: "Axes", summary: TriadSummary, k: int, factor: float, value: "FloatArray") -> "FloatArray":
+def _draw_blocks(axes: "Axes", summary: TriadSummary, k: int, factor: float, value: FloatArray) -> FloatArray:
     """Draw the blocks about a level and return where they lie."""
     if summary.fit is None:
         return np.zeros(0)
@@ -86,7 +248,7 @@ def _draw_blocks(axes: "Axes", summary: TriadSummary, k: int, factor: float, val
     return departure
 
 
-def _draw_level(axes: "Axes", summary: TriadSummary, k: int, factor: float, value: "FloatArray") -> None:
+def _draw_level(axes: "Axes", summary: TriadSummary, k: int, factor: float, value: FloatArray) -> None:
     """Draw blocks and table about a level. They fill the panel. A band that is wide outside the data leaves the panel."""
     temp, doubt, near = summary.temp_c, NORMAL_95 * summary.uncertainty[:, k] * factor, ~summary.extrapolated
     _shade(axes, temp, summary.extrapolated)
@@ -102,7 +264,7 @@ def _draw_level(axes: "Axes", summary: TriadSummary, k: int, factor: float, valu
     axes.set_ylim(low - margin, high + margin)
 
 
-def _shade(axes: "Axes", temp_c: "FloatArray", extrapolated: "BoolArray") -> None:
+def _shade(axes: "Axes", temp_c: FloatArray, extrapolated: BoolArray) -> None:
     """Hatch the spans of nodes without data."""
     half = 0.5 * (temp_c[-1] - temp_c[0]) / (len(temp_c) - 1)
     hatched: Any = {"facecolor": "#f1f1ee", "edgecolor": "#cfcfca", "hatch": "///", "linewidth": 0.0, "zorder": 0}
@@ -111,7 +273,7 @@ def _shade(axes: "Axes", temp_c: "FloatArray", extrapolated: "BoolArray") -> Non
         axes.axvspan(float(low), float(high), label="extrapolated" if k == 0 else None, **hatched)
 
 
-def draw_scale(fit: "ScaleFit") -> "Figure":
+def draw_scale(fit: ScaleFit) -> "Figure":
     """Draw scale factors over temperature: soaks with 95 % bars, table with its band, extrapolated ranges. Only axes
     that turned are drawn.
     """
@@ -139,7 +301,7 @@ def draw_scale(fit: "ScaleFit") -> "Figure":
     return figure
 
 
-def draw_dynamic(drift: "DynamicDrift") -> "Figure":
+def draw_dynamic(drift: DynamicDrift) -> "Figure":
     """Draw dynamic drift over the measured rate for a few temperatures. Only axes that turned are drawn."""
     axes_turned = [k for k in range(3) if drift.error[:, :, k].any()]
     figure, panels = figures.new_figure(len(axes_turned), height=1.7)

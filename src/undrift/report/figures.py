@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from undrift.calibration.noise import AxisNoise, NoiseFit
-    from undrift.commands.pieces import Piece
+    from undrift.calibration.pieces import Piece
     from undrift.orientation import Orientation
     from undrift.rig.folder import RecordedDwell
     from undrift.study.judge import StudyOutcome

@@ -35,8 +35,12 @@ class Estimate:
             return NO_VALUE
         if not (math.isfinite(self.uncertainty) and self.uncertainty > 0.0):
             return f"{self.value:.4g}"
-        places = min(9, max(0, 1 - math.floor(math.log10(self.uncertainty))))
-        return f"{self.value:z.{places}f} ± {self.uncertainty:.{places}f}"
+        places = max(0, 1 - math.floor(math.log10(self.uncertainty)))
+        if places <= 9:
+            return f"{self.value:z.{places}f} ± {self.uncertainty:.{places}f}"
+        power = math.floor(math.log10(max(abs(self.value), self.uncertainty)))
+        value, uncertainty = self.value * 10.0**-power, self.uncertainty * 10.0**-power
+        return f"({value:.{places + power}f} ± {uncertainty:.{places + power}f})e{power}"
 
 
 Cell: TypeAlias = float | int | str | bool | Estimate | None
@@ -144,6 +148,12 @@ class Report:
     def ordered_findings(self) -> tuple[Finding, ...]:
         """Return each finding once, the most consequential first."""
         return most_consequential_first(self.findings)
+
+    def __str__(self) -> str:
+        if not self.answer:
+            rows = [f"  {': '.join(cells)}" for table in self.tables for cells in table.cells]
+            return "\n".join([self.title, *rows])
+        return f"{self.title}: {self.answer}" + (f"\nverdict {self.status}" if self.verdict_shown else "")
 
     def _repr_html_(self) -> str:
         from undrift.report.page import page_text

@@ -29,7 +29,6 @@ from typing import Literal
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.base.summary import Shown
 from undrift.calibration.codes import device_adc
 from undrift.calibration.reference import HeldOut, leave_one_out
 from undrift.calibration.reference_accel import turned_like
@@ -37,6 +36,7 @@ from undrift.errors import InputError
 from undrift.findings import Finding, finding
 from undrift.model import Calibration
 from undrift.record import Mounting, Record, Reference
+from undrift.shown import Shown
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation.expected import OffsetSource
 from undrift.validation.trial import TRIAL_SETTINGS, Figures, Trial, TrialSettings, of_finite, rows_of, validate_trial
@@ -198,7 +198,8 @@ class Validation(Shown):
         )
         return cls(trials=tuple(trials), mean=mean, median=median, held_out=held_out)
 
-    def _rows(self) -> dict[str, str]:
+    def facts(self) -> dict[str, str]:
+        """Return the rows of the value's table: what, and its value with unit."""
         totals = {trial.recording: f"total {trial.figures.rmse_total_deg:.2f} deg rms" for trial in self.trials}
         return totals | {f"mean {name}": text for name, text in rows_of(self.mean).items()}
 

@@ -27,7 +27,6 @@ from typing import Any, Literal
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, frozen
-from undrift.base.summary import Shown
 from undrift.calibration.triads import check_triads
 from undrift.correction.correct import correct_checked
 from undrift.correction.rest import IN_MOTION, RemainingOffset, find_offset, mean_variance
@@ -53,6 +52,7 @@ from undrift.orientation import (
 )
 from undrift.record import Face, Record, Reference, Still
 from undrift.segments import unpadded
+from undrift.shown import Shown
 from undrift.sync import LONGEST_LAG_S, Lag, MotionSpan, find_motion, in_step, native_poses, padding, seen_poses
 from undrift.units import RADIAN_PER_DEGREE, is_physical
 from undrift.validation.align import LEAD_S, REST_S, Align, Mounting, align, turned
@@ -263,7 +263,8 @@ class Trial(Shown):
         end_within = math.isnan(end_deg) or end_deg <= self.expected.end_at_most_deg
         return end_within and self.figures.rmse_total_deg <= self.expected.rmse_at_most_deg
 
-    def _rows(self) -> dict[str, str]:
+    def facts(self) -> dict[str, str]:
+        """Return the rows of the value's table: what, and its value with unit."""
         return {"recording": self.recording} | rows_of(self.figures)
 
 

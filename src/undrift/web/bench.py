@@ -153,7 +153,8 @@ class Bench:
         job.error = outcome.error
         if outcome.done:
             (job.folder / "certificate.html").unlink(missing_ok=True)  # it was another calibration's
-            job.answer, job.later = outcome.answer, []
+            remarks = {key: outcome.answer[key] for key in ("findings", "notes")}
+            job.answer, job.later = {**outcome.answer["data"], **remarks}, []
             job.look()
         job.save()
 

@@ -195,7 +195,7 @@ class Recordings:
             outcome = await self.bench.command("correct", stored.path, *asking, "-o", output)
             output.unlink(missing_ok=True)
             texts[offset] = outcome.error or "nothing is subtracted"
-            if outcome.done and (rest := outcome.answer["data"]["rest"]):
+            if outcome.done and (rest := outcome.answer["recordings"][0]["rest"]):
                 rates, uncertainty = rest["offset_dps"], rest["offset_uncertainty_dps"]
                 within = 2.0 * math.hypot(*uncertainty)
                 listing = ", ".join(f"{round(rate, 3) + 0.0:.3f}" for rate in rates)  # no -0.000

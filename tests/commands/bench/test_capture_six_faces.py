@@ -62,7 +62,7 @@ def test_six_faces_are_captured_at_rest_and_calibrate_reads_them(complete, capsy
     assert session.serial == feed.held.device.serial
     out = capture.folder.parent / "calibration.json"
     assert run(["calibrate", str(capture.folder), "-o", str(out), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["accel"]["method"] == "six-face/affine"
+    assert json.loads(capsys.readouterr().out)["data"]["accel"]["method"] == "six-face/affine"
     accel = read_calibration(out).accel
     matrix, offset = accel_as_six_faces_see_it(feed.held.device)
     error = np.concatenate(((accel.matrix - matrix).ravel(), accel.offset - offset))

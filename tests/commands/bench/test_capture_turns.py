@@ -58,7 +58,7 @@ def test_six_faces_and_six_turns_calibrate_both_triads_within_their_uncertainty(
     guide.capture.save()
     out = guide.capture.folder.parent / "calibration.json"
     assert run(["calibrate", str(guide.capture.folder), "-o", str(out), "--json"]) == 0
-    answer = json.loads(capsys.readouterr().out)
+    answer = json.loads(capsys.readouterr().out)["data"]
     assert answer["accel"]["method"] == "six-face/affine"
     assert answer["gyro"]["method"] == "known-rotation/affine"
     made = read_calibration(out)

@@ -138,8 +138,7 @@ class Job(Entry):
     @property
     def lacks(self) -> tuple[str, ...]:
         """Return the recorded sensors without a model in the calibration."""
-        missing = [what for name, what in SENSORS.items() if self.answer.get(name) is None]
-        return tuple(self.answer.get("lacking", missing))
+        return tuple(what for name, what in SENSORS.items() if self.answer.get(name) is None)
 
     @property
     def gravity_assumed(self) -> bool:

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.calibration.pieces import pieces_of
 from undrift.calibration.session import look
 from undrift.calibration.settings import CalibrateSettings
 from undrift.commands.files import Opening
-from undrift.commands.pieces import pieces_of
 from undrift.io.inspect import describe
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, is_physical, si_factor
 

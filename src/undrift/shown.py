@@ -1,0 +1,33 @@
+"""Values that show themselves: as text, as a page in a notebook, as a report, and as a figure.
+
+``report/values.py`` knows how. It imports all stages, so it is imported when a value is shown: here, and nowhere else.
+"""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from undrift.report.report import Report
+
+
+class Shown:
+    """A value with a report and a figure."""
+
+    __slots__ = ()
+
+    def summary(self) -> "Report":
+        """Return the report of the value: its answer, tables, findings and figures."""
+        from undrift.report.values import report_of
+
+        return report_of(self)
+
+    def plot(self) -> "Figure":
+        """Draw the value as a matplotlib Figure: a notebook shows it, ``savefig`` writes it."""
+        return self.summary().figures[0]()
+
+    def __str__(self) -> str:
+        return str(self.summary())
+
+    def _repr_html_(self) -> str:
+        return self.summary()._repr_html_()
