@@ -107,15 +107,21 @@ NEAR_ZERO = 0.1  # relative to the largest reading: a level nearer to zero is th
 
 def end_readings(column: FloatArray) -> list[float]:
     """Return the readings at which a column (N,) sticks because the range ends."""
-    ends = np.array([end.reduce(column) for end in (np.fmin, np.fmax)]) if len(column) else np.zeros(0)
-    if np.isfinite(ends).all() and all((column == end).sum() < STUCK for end in ends):
-        return []  # too few readings at either end, as in most windows
+    ends = [end.reduce(column) for end in (np.fmin, np.fmax)] if len(column) else []
+    if np.isfinite(ends).all() and not any(_sticks(column == end) for end in ends):
+        return []  # as in most windows
     limits = [limit for limit, _ in saturated_runs(column)]
     values, counts = np.unique(column[np.isfinite(column)], return_counts=True)
     if len(values) > MANY_VALUES:  # most readings at one end, which ``saturated_runs`` considers the usual level
         nonzero = np.abs(values) > NEAR_ZERO * np.abs(values[[0, -1]]).max()
         limits += [float(values[k]) for k in (0, -1) if nonzero[k] and 2 * counts[k] > len(column)]
     return limits
+
+
+def _sticks(at_end: BoolArray) -> bool:
+    """Return True if readings are at an end several times in a row, or for most of the time."""
+    places, more = np.flatnonzero(at_end), STUCK - 1
+    return 2 * len(places) > len(at_end) or bool((places[more:] - places[:-more] == more).any())
 
 
 def stuck_windows(windows: Sequence[FloatArray]) -> BoolArray:

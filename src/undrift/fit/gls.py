@@ -400,6 +400,8 @@ def _bounded_step(variances: FloatArray, score: FloatArray, information: FloatAr
     """Return s+ - s, a step of Fisher scoring that keeps every variance at or above zero."""
     from scipy.optimize import nnls
 
+    if len(variances) == 1:
+        return np.maximum(score / information[0], -variances)
     length = np.sqrt(np.diag(information))
     scaled = information / np.outer(length, length)
     size, vectors = np.linalg.eigh(scaled)

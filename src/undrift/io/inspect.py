@@ -206,15 +206,15 @@ def saturated_runs(column: FloatArray) -> Iterator[tuple[float, IntArray]]:
 
 def _ends_range(column: FloatArray, limit: float, stuck: IntArray) -> bool:
     """Return True if a limit is far from the middle of the readings, or is large and no other values repeat."""
-    away = np.abs(column - np.nanmedian(column))
-    usual = np.nanmedian(away)
+    known = column[np.isfinite(column)]
+    middle, codes = np.median(known), np.unique(known)
+    usual = np.median(np.abs(known - middle))
     if not usual > 0.0:
         return False
-    codes = np.unique(column[np.isfinite(column)])
     if codes[0] < 0.0 and abs(limit) < 0.1 * max(-codes[0], codes[-1]):
         return False  # ranges are symmetric about zero: this is the level at rest of a motion to one side
     fine = len(codes) > 10 * STUCK  # coarse codes repeat at an end as inside, but are not got to in a jump
-    far = away[stuck[0, 0]] > 10.0 * usual
+    far = abs(limit - middle) > 10.0 * usual
     if not (fine or far):
         return False
     change = np.abs(np.diff(column))
