@@ -15,7 +15,7 @@ import pytest
 
 from testkit.broad_trials import DEVICES, trial
 from testkit.data import show
-from undrift.twin.fit import Prepared, Twin, fit_prepared, prepare_twin
+from undrift.twin.fit import Twin, fit_twin
 from undrift.twin.held_out import compare_held_out
 
 pytestmark = pytest.mark.usefixtures("computed_once")
@@ -24,14 +24,9 @@ GRAVITY_M_S2 = 9.813  # Berlin
 
 
 @cache
-def prepared(device: str) -> Prepared:
-    records, references = zip(*(trial(number) for number in DEVICES[device]), strict=True)
-    return prepare_twin(records, references, gravity_m_s2=GRAVITY_M_S2, names=[f"{n:02d}" for n in DEVICES[device]])
-
-
-@cache
 def fitted(device: str) -> Twin:
-    return fit_prepared(prepared(device))
+    records, references = zip(*(trial(number) for number in DEVICES[device]), strict=True)
+    return fit_twin(records, references, gravity_m_s2=GRAVITY_M_S2, names=[f"{n:02d}" for n in DEVICES[device]])
 
 
 @pytest.mark.slow
@@ -66,7 +61,7 @@ def test_delays_lever_arm_and_codes_are_those_of_the_data_set(device):
 def test_held_out_windows_differ_by_what_the_poses_are_worth():
     medians, ends = [], []
     for device in DEVICES:
-        for t in compare_held_out(prepared(device), rng=np.random.default_rng(0)):
+        for t in compare_held_out(fitted(device), rng=np.random.default_rng(0)):
             three = " / ".join(f"{v:.2f}" for v in np.degrees(np.nanquantile(t.pitch, (0.5, 0.95, 1.0))))
             at_end = np.degrees(np.median(t.end, axis=0))
             print(

@@ -10,7 +10,7 @@ from undrift.calibration.reference import fit_reference
 from undrift.correction.correct import correct_whole
 from undrift.errors import InputError
 from undrift.model import Calibration
-from undrift.twin.fit import prepare_twin
+from undrift.twin.fit import fit_twin
 from undrift.twin.held_out import compare_held_out
 
 FOLDERS = {"chain": "chain_with_optics", "carpus": "robot_arm_reference"}
@@ -57,8 +57,8 @@ def test_planar_paths_of_a_robot_keep_a_prior_about_one_axis():
 
 def test_a_twin_of_the_chain_predicts_how_far_its_raw_readings_end_off():
     data_path("chain_with_optics", "SOURCE.md")
-    prepared = prepare_twin(*zip(*pairs("chain"), strict=True), names=SETS["chain"])
+    twin = fit_twin(*zip(*pairs("chain"), strict=True), names=SETS["chain"])
     rng = np.random.default_rng(0)
-    pitch = [np.degrees(np.nanmedian(one.pitch)) for one in compare_held_out(prepared, rng=rng, lengths_s=(5.0,))]
+    pitch = [np.degrees(np.nanmedian(one.pitch)) for one in compare_held_out(twin, rng=rng, lengths_s=(5.0,))]
     show("held out, largest pitch difference in 5 s, deg", np.round(pitch, 2), 0.7)
     assert max(pitch) < 0.7  # poses at 30 Hz under rates of 150 deg/s

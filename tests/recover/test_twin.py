@@ -13,7 +13,7 @@ from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.poses import OpticsSettings, see
 from undrift.sim.motion.tasks import Task, draw_task
-from undrift.twin.fit import Prepared, Twin, fit_prepared, prepare_twin
+from undrift.twin.fit import Twin, fit_twin
 from undrift.twin.held_out import compare_held_out, device_of
 from undrift.units import STANDARD_GRAVITY
 
@@ -62,7 +62,7 @@ def said(task: Task, time: np.ndarray, rng: np.random.Generator) -> Record:
 
 
 @cache
-def prepared() -> Prepared:
+def fitted() -> Twin:
     records, references = [], []
     for seed in (1, 2):
         rng = np.random.default_rng(seed)
@@ -70,12 +70,7 @@ def prepared() -> Prepared:
         time = np.arange(round(task.duration_s * RATE_HZ)) / RATE_HZ
         records.append(said(task, time, rng))
         references.append(see(task, rng=rng, settings=OpticsSettings(sample_rate_hz=120.0, angle_sd=3e-4)))
-    return prepare_twin(records, references, names=["one", "two"])
-
-
-@cache
-def fitted() -> Twin:
-    return fit_prepared(prepared())
+    return fit_twin(records, references, names=["one", "two"])
 
 
 def found(name: str) -> tuple[float, float]:
@@ -129,7 +124,7 @@ def test_the_device_of_the_twin_is_the_device():
 
 @pytest.mark.slow
 def test_held_out_windows_of_a_device_that_the_model_holds_are_as_good_as_the_poses():
-    trials = compare_held_out(prepared(), rng=np.random.default_rng(3), lengths_s=(5.0,))
+    trials = compare_held_out(fitted(), rng=np.random.default_rng(3), lengths_s=(5.0,))
     assert [t.recording for t in trials] == ["one", "two"]
     for t in trials:
         median = float(np.degrees(np.nanmedian(t.pitch)))

@@ -9,7 +9,7 @@ from testkit.hand_turns import make_recording
 from undrift.errors import InputError, NotObservable
 from undrift.record import Reference
 from undrift.twin.accel import match, prepare_accel, solve_accel
-from undrift.twin.fit import fit_prepared, prepare_twin
+from undrift.twin.fit import fit_twin
 from undrift.twin.held_out import compare_held_out
 from undrift.units import STANDARD_GRAVITY
 
@@ -29,7 +29,7 @@ def fit_accel(recording):
 
 def test_records_and_references_must_match(pair):
     with pytest.raises(InputError, match="one reference"):
-        prepare_twin([pair[0]], [])
+        fit_twin([pair[0]], [])
 
 
 def test_a_record_needs_a_gyroscope(pair):
@@ -47,13 +47,13 @@ def test_a_rest_of_gaps_alone_is_no_rest(pair):
 
 def test_one_recording_leaves_none_to_hold_out(pair):
     with pytest.raises(InputError, match="two recordings"):
-        compare_held_out(prepare_twin([pair[0]], [pair[1]]), rng=np.random.default_rng(0))
+        compare_held_out(fit_twin([pair[0]], [pair[1]]), rng=np.random.default_rng(0))
 
 
 def test_poses_without_positions_tell_nothing_of_the_accelerometer(pair):
     with pytest.raises(InputError, match="positions of the reference"):
         fit_accel(match(*pair))
-    twin = fit_prepared(prepare_twin([pair[0]], [pair[1]]))
+    twin = fit_twin([pair[0]], [pair[1]])
     lost = {p.name: p.reason for p in twin.parameters if not p.identifiable}
     assert "positions of the reference" in lost["lever_arm"]
     assert twin.accel is None

@@ -5,7 +5,7 @@ import pytest
 
 from testkit.data import show
 from testkit.hand_turns import Device, make_recording
-from undrift.twin.fit import fit_prepared, prepare_twin
+from undrift.twin.fit import fit_twin
 from undrift.twin.held_out import compare_held_out
 
 
@@ -19,9 +19,8 @@ def test_recordings_that_begin_and_end_in_motion_make_a_twin_that_predicts_them(
         record, reference = make_recording(rng, device, turn_s=40.0, optics_hz=30.0, optics_noise=3e-4, mark=False)
         pairs.append((record.between(10.0, 46.0), reference))
     records, references = zip(*pairs, strict=True)
-    prepared = prepare_twin(records, references)
-    twin = fit_prepared(prepared)
-    assert [m.span.rested for m in prepared.matches] == [False, False]
+    twin = fit_twin(records, references)
+    assert [m.span.rested for m in twin.prepared.matches] == [False, False]
     model = twin.gyro.triad.model
     error = model.matrix - np.linalg.inv(forward)
     show("matrix off by", np.abs(error).max(), 2e-3)
@@ -30,7 +29,7 @@ def test_recordings_that_begin_and_end_in_motion_make_a_twin_that_predicts_them(
     (lost,) = (one for one in twin.parameters if one.name == "gyro_motion_offset")
     assert "No recording rests" in lost.reason
     assert twin.gyro_noise is None
-    found = compare_held_out(prepared, rng=rng, lengths_s=(5.0,))
+    found = compare_held_out(twin, rng=rng, lengths_s=(5.0,))
     pitch = [np.degrees(np.nanmedian(one.pitch)) for one in found]
     show("held out, largest pitch difference in 5 s, deg", pitch, 0.5)
     assert len(pitch) == 2

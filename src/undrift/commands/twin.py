@@ -10,7 +10,7 @@ from undrift.report import Report, Table
 from undrift.report.figures import draw_held_out
 from undrift.screen import part, progress
 from undrift.sim.device.model import write_device
-from undrift.twin.fit import Twin, fit_prepared, prepare_twin
+from undrift.twin.fit import Twin, fit_twin
 from undrift.twin.held_out import WINDOWS_S, HeldOutTrial, compare_held_out, device_of
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -42,16 +42,14 @@ def twin(
     check_output(output, endings=("",), reads=(*records, *optics.reference))
     pairs = optics.pairs(records, opening, command="twin")
     names = [record.name.split(".")[0] for record in records]
-    progress("aligning", 0.01)
-    prepared = prepare_twin([p[0] for p in pairs], [p[1] for p in pairs], gravity_m_s2=gravity_m_s2, names=names)
-    progress("fitting", 0.13)
-    fitted = fit_prepared(prepared)
+    progress("aligning and fitting", 0.01)
+    fitted = fit_twin([p[0] for p in pairs], [p[1] for p in pairs], gravity_m_s2=gravity_m_s2, names=names)
     held_out: tuple[HeldOutTrial, ...] = ()
     if len(records) > 1:
         with part(0.34, 1.0):
-            held_out = compare_held_out(prepared, rng=np.random.default_rng(seed), progress=progress)
+            held_out = compare_held_out(fitted, rng=np.random.default_rng(seed), progress=progress)
     if output is not None:
-        first = prepared.matches[0].record
+        first = fitted.prepared.matches[0].record
         write_device(device_of(fitted, sample_rate_hz=first.sample_rate_hz, serial=first.device), output)
     note = "With one recording, none can be held out. Add a second recording to measure the accuracy of the twin."
     return Report(

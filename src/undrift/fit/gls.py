@@ -401,7 +401,7 @@ def _bounded_step(variances: FloatArray, score: FloatArray, information: FloatAr
     from scipy.optimize import nnls
 
     if len(variances) == 1:
-        return np.maximum(score / information[0], -variances)
+        return np.asarray(np.maximum(score / information[0], -variances))
     length = np.sqrt(np.diag(information))
     scaled = information / np.outer(length, length)
     size, vectors = np.linalg.eigh(scaled)

@@ -114,17 +114,6 @@ def fit_twin(
     NotObservable
         If the motion leaves the gyroscope matrix undetermined.
     """
-    return fit_prepared(prepare_twin(records, references, gravity_m_s2=gravity_m_s2, names=names))
-
-
-def prepare_twin(
-    records: Sequence[Record],
-    references: Sequence[Reference],
-    *,
-    gravity_m_s2: float = STANDARD_GRAVITY,
-    names: Sequence[str] = (),
-) -> Prepared:
-    """Align recordings of a device with their references."""
     if not records or len(records) != len(references):
         raise InputError(
             f"twin: each record needs one reference, got {len(records)} records and {len(references)} references."
@@ -138,12 +127,8 @@ def prepare_twin(
         accel = prepare_accel(matches, gravity_m_s2=gravity_m_s2)
     except (InputError, CalibrationError) as error:
         refused = str(error)
-    return Prepared(
-        matches=matches,
-        adc=adc,
-        accel=accel,
-        accel_refused=refused,
-        gravity_m_s2=gravity_m_s2,
+    return fit_prepared(
+        Prepared(matches=matches, adc=adc, accel=accel, accel_refused=refused, gravity_m_s2=gravity_m_s2)
     )
 
 

@@ -22,7 +22,7 @@ from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.motion import Motion
 from undrift.twin.accel import pose_spline
-from undrift.twin.fit import Prepared, RestNoise, Twin, fit_prepared
+from undrift.twin.fit import RestNoise, Twin, fit_prepared
 from undrift.validation.trial import wrapped
 
 # ---- the twin as a device to simulate
@@ -83,21 +83,22 @@ class HeldOutTrial:
 
 
 def compare_held_out(
-    prepared: Prepared,
+    twin: Twin,
     *,
     rng: np.random.Generator,
     lengths_s: Sequence[float] = WINDOWS_S,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> tuple[HeldOutTrial, ...]:
-    """Compare each recording with the twin fitted to all other recordings."""
+    """Compare each recording of a twin with the twin fitted to all its other recordings."""
+    prepared = twin.prepared
     count = len(prepared.matches)
     if count < 2:
         raise InputError("twin: needs two recordings to hold one out, got one. Record the device a second time.")
     trials = list[HeldOutTrial]()
     for number, match in enumerate(prepared.matches):
         progress(f"held out: recording {number + 1} of {count}", number / count)
-        twin = fit_prepared(prepared, chosen=[k for k in range(count) if k != number])
-        motion, real, simulated = _rates(prepared, twin, number, rng)
+        by_others = fit_prepared(prepared, chosen=[k for k in range(count) if k != number])
+        motion, real, simulated = _rates(by_others, number, rng)
         valid = match.moving & (np.asarray(motion.valid) > 0.0)
         valid &= np.isfinite(real).all(axis=1) & np.isfinite(simulated).all(axis=1)
         for length_s in lengths_s:
@@ -108,15 +109,13 @@ def compare_held_out(
     return tuple(trials)
 
 
-def _rates(
-    prepared: Prepared, twin: Twin, number: int, rng: np.random.Generator
-) -> tuple[Motion, FloatArray, FloatArray]:
+def _rates(twin: Twin, number: int, rng: np.random.Generator) -> tuple[Motion, FloatArray, FloatArray]:
     """Return the motion of a held-out recording, and corrected rates of the real and the simulated device, (N, 3) rad/s."""
-    match, model = prepared.matches[number], twin.gyro.triad.model
+    match, model = twin.prepared.matches[number], twin.gyro.triad.model
     rate_hz = match.record.sample_rate_hz
     lag_s = twin.delay if abs(match.lag.seconds - twin.delay) < SHARED_CLOCK_S else match.lag.seconds
     spline = pose_spline(replace(match.reference, position=None), MOTION_CUTOFF_HZ)
-    motion = spline.at(match.record.time - (lag_s - 0.5 / rate_hz), prepared.gravity_m_s2)
+    motion = spline.at(match.record.time - (lag_s - 0.5 / rate_hz), twin.prepared.gravity_m_s2)
     # without delay: the motion is evaluated at the delayed instants
     device = replace(device_of(twin, sample_rate_hz=rate_hz), sampling=Sampling())
     readings = restored_gyro(np.asarray(simulate_device(device, motion, rng=rng).record.gyro), twin.adc)
