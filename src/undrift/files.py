@@ -104,9 +104,8 @@ def _unpacked(packed: gzip.GzipFile, path: Path) -> bytes:
             raise too_large(path)
         if len(content) > max(_RATIO * size, _SMALL):
             raise FileFormatError(
-                f"{path}: expected a packed recording, got a file that unpacks to more than {_RATIO} times its "
-                f"size. It is not a "
-                "recording."
+                f"{path}: expected a packed recording, got a file that unpacks to more than {_RATIO} times its size. "
+                "It is not a recording."
             )
     return bytes(content)
 

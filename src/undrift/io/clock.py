@@ -87,8 +87,7 @@ def fit_clock(stamps: FloatArray, counter: FloatArray | None = None) -> ClockFit
     if len(stamps) < LEAST_SAMPLES:
         raise InputError(
             f"clock: expected {LEAST_SAMPLES} samples or more for a regular clock, got {len(stamps)}. Set "
-            f"sample_rate_hz and map no "
-            "time column."
+            "sample_rate_hz and map no time column."
         )
     if (np.diff(stamps) < 0.0).any():
         row = int(np.flatnonzero(np.diff(stamps) < 0.0)[0]) + 1

@@ -301,9 +301,8 @@ def native_map(names: Names, how: ColumnMap = READ_SETTINGS, *, source: str = ""
             listing = ", ".join(repr(name) for name in names[:12]) or "no columns"
             remainder = f", ... ({len(names)} columns)" if len(names) > 12 else ""
             raise InputError(
-                f"columns: expected names such as gyro_x_dps or accel_x_m_s2, got {listing}{remainder}. Run undrift info "
-                f"FILE "
-                "--write-map map.toml to propose a map, and name the map with `column_map`."
+                f"columns: expected names such as gyro_x_dps or accel_x_m_s2, got {listing}{remainder}. Run undrift "
+                "info FILE --write-map map.toml to propose a map, and name the map with `column_map`."
             )
         columns["temp"], units["temp"] = ("temp_c", "degc") if "temp_c" in names else (None, "")
         native = how.over(map_of_channels(columns, units))
@@ -353,9 +352,8 @@ def read_map(path: str | Path, **choices: Any) -> ColumnMap:
     if not how.columns and (not given or given - NATIVE_KEYS):
         got = ", ".join(sorted(given - NATIVE_KEYS)) or "no key"
         raise InputError(
-            f"{path}: expected one table of columns, got 0 and {got}. Add columns = {{ ... }}. A file with "
-            f"undrift's own "
-            f"names needs only {', '.join(sorted(NATIVE_KEYS))}."
+            f"{path}: expected one table of columns, got 0 and {got}. Add columns = {{ ... }}. A file with undrift's "
+            f"own names needs only {', '.join(sorted(NATIVE_KEYS))}."
         )
     how = how.beside(Path(path).parent).but(**{key: value for key, value in choices.items() if value is not None})
     with naming(path):

@@ -198,8 +198,7 @@ FORMATS: dict[str, Format] = {
     "opensim": Format(
         _has(rb"^endheader\s*$"),
         instead="an OpenSim table of coordinates or forces of a model, not readings of a sensor. The reference for "
-        "undrift validate "
-        "is the .sto file of orientations (DataType=Quaternion).",
+        "undrift validate is the .sto file of orientations (DataType=Quaternion).",
     ),
     # The shipped maps and the formats of other packages come here.
     "zip": Format(_starts(b"PK\x03\x04"), instead=_UNPACKED, generic=True),
@@ -358,9 +357,8 @@ def without(record: Record, stretches: Sequence[tuple[float, float]]) -> Record:
         out |= (among := (time >= start) & (time < stop))
         if not among.any():
             raise InputError(
-                f"leave_out: expected a stretch within {time[0]:.6g} to {time[-1]:.6g} s, the time of the "
-                f"recording, got "
-                f"{start:g} to {stop:g} s. Change it."
+                f"leave_out: expected a stretch within {time[0]:.6g} to {time[-1]:.6g} s, the time of the recording, "
+                f"got {start:g} to {stop:g} s. Change it."
             )
     stays = np.flatnonzero(~out)
     if len(stays) < 2:

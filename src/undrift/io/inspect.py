@@ -100,8 +100,7 @@ def _rest(record: Record) -> Iterator[Finding]:
                 "recording.rest_rate",
                 "warn",
                 f"The gyroscope reads {rate_dps:.3g} deg/s in its quietest two seconds (at {quiet_s:.6g} s): it turns "
-                "steadily, or its "
-                "unit or scale is wrong.",
+                "steadily, or its unit or scale is wrong.",
                 "Check units.gyro and scale.gyro in the map.",
                 turn_rate_dps=rate_dps,
             )

@@ -420,16 +420,14 @@ def _check_readings(sheet: Sheet, triples: Triples) -> None:
     if free:
         raise FileFormatError(
             f"{sheet.path}: expected accelerometer readings with gravity, got {free[0]!r}, acceleration without "
-            f"gravity. Record or "
-            "export the acceleration with gravity.",
+            "gravity. Record or export the acceleration with gravity.",
             missing="readings",
             gravity_removed=True,
         )
     listing = ", ".join(repr(name) for name in sheet.names[:8] if name)
     raise FileFormatError(
         f"{sheet.path}: expected gyroscope or accelerometer columns x, y, z with a unit, got {listing}. Export them, "
-        f"or use a map "
-        "(`column_map` FILE).",
+        "or use a map (`column_map` FILE).",
         missing="readings",
     )
 

@@ -294,8 +294,7 @@ def read_log(path: Path, how: ColumnMap) -> RawTable:
     else:
         raise InputError(
             f"{path}: expected units in a log, got {', '.join(log.names[:8])} without. Run undrift info FILE "
-            f"--write-map "
-            "map.toml to propose a map, and name the map with `column_map`."
+            "--write-map map.toml to propose a map, and name the map with `column_map`."
         )
     count = log.content.count(b"\n")
     note = f"a log of {count} readings" + f", lines left out before the first: {log.before}" * bool(log.before)

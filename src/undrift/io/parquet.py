@@ -123,8 +123,7 @@ class ParquetWriter:
             self._schema = schema
         if not schema.equals(self._schema, check_metadata=True):
             raise InputError(
-                f"{self.path}: expected chunks of one record, got {schema.names} after {self._schema.names} or "
-                f"another "
+                f"{self.path}: expected chunks of one record, got {schema.names} after {self._schema.names} or another "
                 "frame, state or device"
             )
         if record.time[0] <= self._last:

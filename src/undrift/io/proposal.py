@@ -25,8 +25,7 @@ def map_text(
     if proposal is None:
         raise InputError(
             f"{found.path}: expected a table that needs a map, got {found.kind} ({found.format}): {found.summary}. "
-            f"Omit "
-            "--write-map."
+            "Omit --write-map."
         )
     if proposal.rate == "?":
         if sample_rate_hz is None:

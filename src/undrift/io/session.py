@@ -443,7 +443,6 @@ def _check_seal(path: Path, text: str) -> None:
     """Refuse a session that a run wrote and that was changed since."""
     if text.startswith(_SEAL) and sealed(text.partition("\n")[2]) != text:
         raise FileFormatError(
-            f"{path}: the session was changed after the run wrote it (sha256 in its first line). Restore it. "
-            "If "
-            "the change is intended, delete that line."
+            f"{path}: the session was changed after the run wrote it (sha256 in its first line). Restore it. If the "
+            "change is intended, delete that line."
         )
