@@ -13,18 +13,26 @@ from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Self, TypeAlias
+from typing import Literal, Self, TypeAlias
 
-from undrift.base.options import OptionalOutput, verb
-from undrift.base.summary import Section, Summary, summary_of
-from undrift.commands import Screen
+import numpy as np
+
+from undrift.base.options import OptionalOutput
+from undrift.commands.bench.capture import Capture
+from undrift.commands.bench.guides import Guide, Poses, SixFaces, Turns
+from undrift.commands.bench.source import LiveDevice, Status
+from undrift.commands.calibrate import calibrate
 from undrift.commands.files import Place, check_output
 from undrift.errors import InputError, LinkError, UndriftError
-
-if TYPE_CHECKING:
-    from undrift.commands.bench.guides import Guide
-    from undrift.commands.bench.source import Status
-    from undrift.record import Record
+from undrift.io.column_map import ColumnMap
+from undrift.io.formats import read_record
+from undrift.io.session import gravity_of
+from undrift.io.write import write_record_as
+from undrift.live import transports
+from undrift.live.log import described_address
+from undrift.record import Record
+from undrift.report import Report, Table
+from undrift.screen import screen
 
 LOOK_S = 0.2  # between two looks at the device, host s
 LOG_S = 5.0  # of the recording between two lines if there is no terminal
@@ -33,61 +41,42 @@ CLOCK_S = 10.0  # of a recording that shows the rate of a device without time be
 PAUSE_S = 1.0  # host s without readings that are not mentioned
 RATE_S = 2.0  # of a recording after which its rate is shown
 NOW_S, MOST_S = 0.5, 100.0  # of readings for the displayed mean, and of readings in one step of a guide
-LINES = (".log", ".txt")  # as they come
-FORMATS = (".parquet", ".csv", ".csv.gz", *LINES)
+FORMATS = (".parquet", ".csv", ".csv.gz")
 HOW = {
     "face": "Faces: lay it on each of its six faces, on a level table, and let go. Each is captured by itself, in any order.",
     "turn": "Turns: lay it along a straight edge. Turn it once on the table, as seen from above, back to the edge, and let go.",
     "pose": "Poses: lay or lean it in 15 poses of any kind, 30 deg apart, and let go. Each is captured by itself.",
 }
-LISTED = {  # possible sources: in words, and the option to name a source
-    "serial_ports": ("Serial ports", "port"),
-    "lsl_streams": ("LSL streams", "name"),
-}
-Guides: TypeAlias = "Sequence[Guide]"
+Guides: TypeAlias = Sequence[Guide]
 
 
-@verb
 def record(
     address: str | None = None,
     /,
     *,
     output: OptionalOutput = None,
-    port: str | None = None,
-    lsl: str | None = None,
-    udp: str | None = None,
     guide: Literal["six-faces", "turns", "poses"] | None = None,
     duration_s: float = math.inf,
     place: Place = Place(),
-    screen: Screen = Screen(),
-) -> Summary:
+) -> Report:
     """Record a device until Ctrl-C. Without device and file, list serial ports and LSL streams.
 
     Parameters
     ----------
     address : str or None
-        A serial port, or another address (docs/live.md): tcp://host:port. The format of text lines is determined by
-        listening.
+        A serial port (/dev/ttyUSB0, COM3, /dev/ttyUSB0?baud=9600), tcp://host:port, udp://:9000, or lsl:NAME (see
+        docs/live.md). By default the only serial port. The format of text lines is determined by listening.
     output : Path or None
-        File to write: .parquet, .csv or .csv.gz. A .log or .txt file contains the lines of the device, each with a time
-        stamp.
-    port : str or None
-        Serial port, for example /dev/ttyUSB0, COM3 or /dev/ttyUSB0?baud=9600. The default is 115200 baud.
-    lsl : str or None
-        Stream of the Lab Streaming Layer with its content: NAME?channels=...&rate=100
-    udp : str or None
-        Port of this computer to which the device sends.
+        File to write: .parquet, .csv or .csv.gz.
     guide : str or None
         Guide through the poses of a calibration, then calibrate: six-faces (accelerometers), turns (the faces, then
         turns by hand, for both sensors) or poses (15 arbitrary poses).
     duration_s : float
         Longest time to record, s.
     """
-    ways = {"serial://": port, "lsl:": lsl, "udp://:": udp, "": address}
-    addresses = [f"{kind}{value}" for kind, value in ways.items() if value is not None]
-    if not addresses and output is None:
-        return _senders(screen)
-    where = address_of(addresses)
+    if address is None and output is None:
+        return _senders()
+    where = address_of(address)
     if output is None:
         raise InputError(f"record: expected a file to write, got none. Add `output` walk.parquet to record {where}.")
     check_output(output, endings=FORMATS)
@@ -98,123 +87,54 @@ def record(
             raise InputError(
                 f"{path}: the file exists already, and recordings are never overwritten. Choose another name."
             )
-    if output.suffix in LINES:
-        if guide is not None:
-            raise InputError(
-                f"`guide`: expected a file of readings, got {output}, a file of lines. Set `output` to walk.parquet."
-            )
-        return _record_lines(where, output, duration_s, screen)
-    recording = _Recording(where, output, screen)
+    recording = _Recording(where, output)
     guides = _guides(guide, folder, place)
-    screen.say(*(HOW[step_guide.step] for step_guide in guides))
-    record, status = recording.run(guides, duration_s)
-    summary = recording.summary(record, status)
+    screen().say(*(HOW[step_guide.step] for step_guide in guides))
+    readings, status = recording.run(guides, duration_s)
+    report = recording.report(readings, status)
     if guides and all(step_guide.complete for step_guide in guides):
         calibrated = _calibrated(guides, output, calibration, place)
-        sections = (Section(title="Recording", text=(summary.answer,)), *calibrated.sections)
-        notes, written = (*summary.notes, *calibrated.notes), (output, *calibrated.written)
         return replace(
             calibrated,
-            data={**calibrated.data, "recording": summary.data},
-            sections=sections,
-            notes=notes,
-            written=written,
+            notes=[report.answer, *report.notes, *calibrated.notes],
+            written=[output, *calibrated.written],
+            data={**calibrated.data, "recording": report.data},
         )
-    done = ", ".join(f"{len(step_guide.done)} of {len(step_guide.order)} {step_guide.step}s" for step_guide in guides)
-    abandoned = (f"the guide was left at {done}: nothing was calibrated",) if guides else ()
-    return replace(summary, notes=(*summary.notes, *abandoned))
+    if guides:
+        done = ", ".join(f"{len(part.done)} of {len(part.order)} {part.step}s" for part in guides)
+        report = replace(report, notes=[*report.notes, f"The guide was left at {done}. Nothing was calibrated."])
+    return report
 
 
-def address_of(addresses: list[str]) -> str:
-    """Return the address of the one device that is named, or of the only port."""
-    from undrift.live.transports import serial_ports
-
-    candidates = addresses or [f"serial://{name}" for name, _ in serial_ports()]
+def address_of(address: str | None) -> str:
+    """Return an address with its kind: that of a named port, or of the only port."""
+    candidates = [name for name, _ in transports.serial_ports()] if address is None else [address]
     if len(candidates) != 1:
         raise InputError(
-            f"record: expected one device, got {len(candidates)} ({', '.join(candidates)}). Choose one with `port` NAME."
+            f"record: expected one serial port, got {len(candidates)} ({', '.join(candidates)}). Name the device."
         )
-    return (
-        f"serial://{candidates[0]}"
-        if candidates[0].startswith("/") or candidates[0].upper().startswith("COM")
-        else candidates[0]
-    )
+    (name,) = candidates
+    return f"serial://{name}" if name.startswith("/") or name.upper().startswith("COM") else name
 
 
-def _senders(screen: Screen) -> Summary:
+def _senders() -> Report:
     """List the available devices, and the reasons why some kinds could not be searched."""
-    from undrift.live import transports
-
-    screen.over("Looking for serial ports and LSL streams ...")
-    listed, notes = dict[str, list[tuple[str, str]]](), list[str]()
-    for way in LISTED:
+    screen().over("Looking for serial ports and LSL streams ...")
+    rows, notes = list[tuple[str, str, str]](), list[str]()
+    for kind, find in (("serial port", transports.serial_ports), ("LSL stream", transports.lsl_streams)):
         try:
-            listed[way] = getattr(transports, way)()
+            rows += [(kind, name if kind == "serial port" else f"lsl:{name}", device) for name, device in find()]
         except LinkError as error:
-            listed[way], notes = [], [*notes, str(error)]
-    screen.over("")
-    counts = (f"{title}: {len(listed[way])}" for way, (title, _) in LISTED.items())
-    none = "Nothing was found that can be recorded: connect the device, or name its address."
-    return Summary(
+            notes.append(str(error))
+    screen().over("")
+    ports = [address for kind, address, _ in rows if kind == "serial port"]
+    answer = f"Serial ports: {len(ports)}, LSL streams: {len(rows) - len(ports)}."
+    return Report(
         title="What can be recorded",
-        answer=f"{', '.join(counts)}." if any(listed.values()) else none,
-        data={way: [{head: name, "device": text} for name, text in listed[way]] for way, (_, head) in LISTED.items()},
-        sections=tuple(
-            Section(title=title, columns=(head, "device"), rows=tuple(listed[way]), words=True)
-            for way, (title, head) in LISTED.items() if listed[way]
-        ),
-        notes=tuple(notes),
-        next=("record", "--port", listed["serial_ports"][0][0], "-o", "walk.parquet") if listed["serial_ports"] else (),
-    )  # fmt: skip
-
-
-def _record_lines(where: str, output: Path, duration_s: float, screen: Screen) -> Summary:
-    """Write the lines of a device as they come, the time since the first before each."""
-    from undrift.io.text import Appender
-    from undrift.live.log import ANY, BYTE_WAYS, listen
-    from undrift.live.transports import POLL_S, ByteSource, source_at
-
-    source = source_at(where, ANY)
-    if where.partition(":")[0] not in BYTE_WAYS or not isinstance(source, ByteSource):
-        raise InputError(
-            f"{where}: only a device that prints lines can be recorded as lines. Set `output` to walk.parquet."
-        )
-    screen.over(f"Listening to {where} ...")
-    ended, count, stamp, rest = "stopped", 0, 0.0, b""
-    try:
-        with Appender(output) as file:
-            pieces = list(listen(source))
-            began = pieces[0][0]
-            screen.over("")
-            screen.say(f"Recording the lines of {source.name}. Ctrl-C ends it.")
-            while source.clock.now() - began < duration_s:
-                text = list[bytes]()
-                for arrived, data in pieces:
-                    *lines, rest = (rest + data).split(b"\n")
-                    for line in lines:
-                        stamp = max(arrived - began, stamp + 1e-6)
-                        text.append(b"[%12.6f] %s\n" % (stamp, line.rstrip(b"\r")))
-                file.append(b"".join(text))
-                count += len(text)
-                screen.over(f"{stamp:7.1f} s   {count} lines", step=int(stamp / LOG_S))
-                data = source.receive(POLL_S)
-                pieces = [(source.clock.now(), data)] if data else []
-            ended = "time"
-    except KeyboardInterrupt:
-        ended = "stopped"
-    except UndriftError as error:  # a cable, a full disk
-        if count:
-            raise type(error)(f"{error} (the {count} lines until then are in {output})") from error
-        raise
-    finally:
-        screen.over("")
-        source.close()
-    return Summary(
-        title=f"Lines of {source.name}",
-        answer=f"{count} lines recorded in {stamp:.1f} s.",
-        data={"address": where, "output": str(output), "ended": ended, "seconds": stamp, "lines": count},
-        written=(output,),
-        next=("info", output),
+        answer=answer if rows else "No device was found. Connect the device, or name its address.",
+        tables=[Table(title="Devices", columns=("kind", "address", "device"), rows=rows)],
+        notes=notes,
+        next_command=("record", ports[0], "-o", "walk.parquet") if ports else (),
     )
 
 
@@ -244,29 +164,27 @@ class _CtrlC:
 class _Recording:
     """One recording, from the first look at the device to the file."""
 
-    def __init__(self, address: str, output: Path, screen: Screen) -> None:
-        from undrift.commands.bench.source import LiveDevice
-        from undrift.live.log import described_address
-
-        screen.over(f"Listening to {address} ...")
+    def __init__(self, address: str, output: Path) -> None:
+        self.screen = screen()
+        self.screen.over(f"Listening to {address} ...")
         self.address, self.notes = described_address(address)
         self.listened, self.shown = self.address != address, ""
-        self.source, self.screen, self.output, self.ended = LiveDevice(self.address, FIRST_S), screen, output, "stopped"
+        self.source, self.output, self.ended = LiveDevice(self.address, FIRST_S), output, "stopped"
         self.began = datetime.now(UTC).isoformat(timespec="milliseconds")
         self.file = output if output.name.endswith(".csv") else output.with_name(f"{output.name}.csv")
-        screen.over("")
+        self.screen.over("")
         notes, source = (f"  note: {note}" for note in self.notes), self.source.recorder.source
         sent, triads = source.description, {name.partition("_")[0] for name in source.description.measured}
         units = {"gyro": sent.gyro_unit, "accel": sent.accel_unit, "mag": "uT", "temp": "degC"}
         channels = ", ".join(f"{name} in {unit}" for name, unit in units.items() if name in triads)
-        screen.say(f"Recording {source.name}: {channels}, {sent.rate:g} Hz. Ctrl-C ends it.", *notes)
+        self.screen.say(f"Recording {source.name}: {channels}, {sent.rate:g} Hz. Ctrl-C ends it.", *notes)
 
-    def run(self, guides: Guides, duration_s: float) -> "tuple[Record, Status]":
+    def run(self, guides: Guides, duration_s: float) -> tuple[Record, Status]:
         """Record until the end, and write the file. Errors that end it early are raised with the state of the file."""
         with _CtrlC() as ctrl_c:
             return self._run(guides, duration_s, ctrl_c)
 
-    def _run(self, guides: Guides, duration_s: float, ctrl_c: _CtrlC) -> "tuple[Record, Status]":
+    def _run(self, guides: Guides, duration_s: float, ctrl_c: _CtrlC) -> tuple[Record, Status]:
         self.source.write_to(self.file)
         try:
             self.source.start()
@@ -297,27 +215,29 @@ class _Recording:
             raise LinkError(f"{status.error} ({remaining})")
         return record, status
 
-    def summary(self, record: "Record", status: "Status") -> Summary:
+    def report(self, record: Record, status: Status) -> Report:
         """Return how long and how complete a recording is."""
         lost, garbled, rate_hz = status.lost, status.garbled, record.sample_rate_hz
-        data = {"address": self.address, "output": str(self.output), "ended": self.ended, "seconds": record.duration_s}
-        return Summary(
+        return Report(
             title=f"Recording {self.output.name}",
-            answer=f"{record.duration_s:.1f} s recorded at {rate_hz:.5g} Hz: {lost} of {status.readings + lost} readings lost, "
-            f"{garbled} damaged ones left out.",
-            data=data | {"sample_rate_hz": rate_hz, "readings": len(record), "lost": lost, "garbled": garbled},
-            sections=(Section(title="Address", text=(f"address: {self.address}",), folded=True),),
-            notes=self.notes,
-            written=(self.output,),
-            next=("info", self.output),
+            answer=f"{record.duration_s:.1f} s are recorded at {rate_hz:.5g} Hz: {lost} of {status.readings + lost} readings "
+            f"are lost, and {garbled} damaged ones are left out.",
+            notes=[*self.notes, f"The address of the device is {self.address}."],
+            written=[self.output],
+            data={
+                "address": self.address,
+                "ended": self.ended,
+                "seconds": record.duration_s,
+                "sample_rate_hz": rate_hz,
+                "readings": len(record),
+                "lost": lost,
+                "garbled": garbled,
+            },
+            next_command=("info", self.output),
         )
 
-    def _read_back(self, full: str) -> "tuple[Record, Path, str]":
+    def _read_back(self, full: str) -> tuple[Record, Path, str]:
         """Return all readings, their file, and the reason if it is not the requested file."""
-        from undrift.io.column_map import ColumnMap
-        from undrift.io.formats import read_record
-        from undrift.io.write import write_record_as
-
         description, timeline = self.source.recorder.source.description, self.source.recorder.timeline
         record = replace(read_record(self.file, ColumnMap(gaps="keep")), device=description.device)
         # A rate that was found in seconds is better known now, by this computer's clock
@@ -368,10 +288,8 @@ class _Recording:
                 return "time"
 
 
-def _line(status: "Status", newest: "Record | None") -> str:
+def _line(status: Status, newest: Record | None) -> str:
     """Return how the recording is doing, in a line."""
-    import numpy as np
-
     if newest is None:
         return f"{status.file_s:7.1f} s   no readings: {status.error or 'waiting for the device'}"
     rate = f"{status.sample_rate_hz:.1f}" if status.file_s > RATE_S else "-"
@@ -389,22 +307,16 @@ def _line(status: "Status", newest: "Record | None") -> str:
 
 def _guides(name: str | None, folder: Path, place: Place) -> Guides:
     """Return the guides of a calibration by hand, which share their captures."""
-    from undrift.commands.bench.capture import Capture
-    from undrift.commands.bench.guides import Poses, SixFaces, Turns
-    from undrift.io.session import gravity_of
-
-    gravity, how = gravity_of(place.gravity_m_s2, place.latitude_deg, place.height_m)
-    capture = Capture(folder, place.serial, gravity_m_s2=None if how == "standard" else gravity)
+    gravity, source = gravity_of(place.gravity_m_s2, place.latitude_deg, place.height_m)
+    capture = Capture(folder, place.serial, gravity_m_s2=None if source == "standard" else gravity)
     kinds = {"six-faces": (SixFaces,), "turns": (SixFaces, Turns), "poses": (Poses,)}
     return [kind(capture) for kind in kinds.get(name or "", ())]
 
 
-def _calibrated(guides: Guides, output: Path, calibration: Path, place: Place) -> Summary:
+def _calibrated(guides: Guides, output: Path, calibration: Path, place: Place) -> Report:
     """Calibrate by the faces and turns that guides captured, or by the poses in the recording."""
-    from undrift.commands.calibrate import calibrate
-
     capture = guides[0].capture
     if guides[0].step == "pose":
-        return summary_of(calibrate(output, output=calibration, place=place))
+        return calibrate(output, output=calibration, place=place)
     capture.save()
-    return summary_of(calibrate(capture.folder, output=calibration))
+    return calibrate(capture.folder, output=calibration)

@@ -33,8 +33,8 @@ ANY = StreamDescription(
 LEARNT_LINES = 256  # number of lines to learn the shapes of a log from
 TICKS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 DESCRIBE = (
-    "Describe it in the address, for example with channels=count,accel_x,accel_y,accel_z&rate=100 (docs/live.md), or record its "
-    "raw lines: `output` walk.log"
+    "Describe it in the address, for example with channels=count,accel_x,accel_y,accel_z&rate=100 (docs/live.md), or save its "
+    "lines with a terminal program, and read that file"
 )
 Pieces = Sequence[tuple[float, bytes]]  # time of arrival, host s, and bytes
 
@@ -160,7 +160,7 @@ def description_of(pieces: Pieces, name: str, given_options: dict[str, str]) -> 
             if units[channel] == "?":
                 raise InputError(
                     f"{name}: the unit of its {channel} readings is unknown, got '{lines[-1]}'. Set it in the address: "
-                    f"{name}?{channel}_unit={'dps' if channel == 'gyro' else 'g'}, or record its lines: `output` walk.log"
+                    f"{name}?{channel}_unit={'dps' if channel == 'gyro' else 'g'}, or save its lines with a terminal program"
                 )
             stream_options |= {
                 f"{channel}_unit": units[channel],
