@@ -18,6 +18,8 @@ WITHOUT_BLOCKS = {
     "accuracy-motion.md",
     "bench-check.md",
     "cite.md",
+    "constants.md",
+    "lab-sheet.md",
     "glossary.md",
     "live.md",
     "model.md",

@@ -43,6 +43,7 @@ MOVED = {
     "simulate": "simulate:simulate",
     "study": "study:study",
     "demo": "demo:demo",
+    "record": "record:record",
     **{f"rig {name}": f"rig:{name}" for name in ("run", "stop", "check")},
 }  # the module and the function of each command
 DISPLAY = Group("Display", sort_key=99)
