@@ -60,9 +60,9 @@ def test_a_defect_is_one_line_too_and_shows_its_place_on_request(undrift, monkey
     ("words", "expected"),
     [
         (["bogus"], 'Unknown command "bogus"'),
-        (["info"], "FILES requires an argument. Say undrift info --help."),
+        (["info"], "FILES requires an argument. Run undrift info --help."),
         (["info", "--bogus", "a"], "Unknown option: --bogus"),
-        (["correct"], "RECORDS requires an argument. Say undrift correct --help."),
+        (["correct"], "RECORDING requires an argument. Run undrift correct --help."),
         (["calibrate", "s", "--gyro", "by-eye"], 'Invalid value "by-eye" for --gyro. Choose from: "rate-table"'),
         (["calibrate", "s", "--latitude-deg", "north"], 'unable to convert "north" into float'),
         (["correct", "a.csv", "--calibration", "c.json"], "--output requires an argument"),

@@ -187,7 +187,7 @@ def app(arguments: Sequence[str]) -> object:
         if isinstance(error, UnusedCliTokensError):
             unused = " ".join(error.unused_tokens or ())
             raise InputError(f"unexpected argument {unused}. Run {command} --help.") from error
-        raise InputError(f"{str(error).strip().splitlines()[0]} Say {command} --help.") from error
+        raise InputError(f"{str(error).strip().splitlines()[0]} Run {command} --help.") from error
 
 
 def _refuse(arguments: Sequence[str], error: BaseException, text: str, *, code: int) -> int:

@@ -17,6 +17,7 @@ from undrift import __version__
 from undrift.base.options import WRITTEN
 from undrift.base.spoken import NAMED
 from undrift.cli import examples
+from undrift.cli.app import COMMANDS
 from undrift.cli.screen import Terminal
 from undrift.commands.files import check_output, files_in, origin_of
 from undrift.errors import InputError
@@ -64,9 +65,13 @@ def app() -> App:
         *groups, name = words.split(" ")
         home = root
         for group in groups:
-            home = home[group] if group in home else home.command(App(name=group))
+            home = home[group] if group in home else home.command(_group(group))
         home.command(f"undrift.commands.{place}", name=name, help_epilogue=examples(words))
     return root
+
+
+def _group(name: str) -> App:
+    return App(name=name, help=COMMANDS[name], help_format="plaintext", help_epilogue=examples(name))
 
 
 def call(arguments: Sequence[str]) -> int:
