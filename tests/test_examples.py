@@ -12,7 +12,7 @@ WITH = {name: text for name in undrift.__all__ if ">>>" in (text := inspect.getd
 WITHOUT = {
     "read_reference", "write_session", "read_calibration", "calibrate_to_references", "NoiseFit", "DriftSettings", "DriftFit",
     "Corrected", "Orientation", "validate_leave_one_out", "fit_twin", "Twin",
-    "validate", "Validated", "Validation", "Trial", "OrientationError", "OrientSettings",
+    "Validation", "Trial", "OrientationError", "OrientSettings",
     "StillSearch", "TurnSearch", "DeviceModel", "Simulated", "SimulatedTrial", "Exported", "ExportedC",
 }  # fmt: skip
 

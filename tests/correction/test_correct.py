@@ -116,16 +116,16 @@ def test_a_triad_without_a_model_passes_nominal_values_and_a_note():
     done = correct_checked(r, c)
     np.testing.assert_allclose(done.record.accel, r.in_si().accel, rtol=1e-15)
     (note,) = [item.text for item in done.findings if item.level == "info"]
-    assert "accel is not calibrated" in note
+    assert "no accel" in note
     with pytest.raises(InputError, match="accel: expected a physical unit, got count"):
         correct(record(temp_c=None, accel_unit="count"), device(accel=None))
 
 
 def test_another_serial_number_is_a_warning():
     done = correct_checked(record(temp_c=None, device="B"), device())
-    assert done.warnings == (
-        "Recording and calibration name different devices: recording B, calibration A; check that both belong together",
-    )
+    (warning,) = done.warnings
+    assert "device B" in warning
+    assert "device A" in warning
 
 
 def test_g_sensitivity_needs_the_accelerometer_and_tables_need_the_temperature():
@@ -166,8 +166,7 @@ def test_a_gap_in_temperature_is_counted_and_reported_whatever_the_policy(policy
     np.testing.assert_array_equal(done.missing, np.isnan(done.record.gyro).any(axis=1))
     assert np.count_nonzero(done.missing) == 40
     assert done.reach.seconds_without_temperature == pytest.approx(0.4, abs=1e-8)
-    assert "0.4 s without a temperature: the drift table cannot be evaluated there" in done.warnings[0]
-    assert "a gap (NaN) under every policy" in done.warnings[0]
+    assert "no temperature for 0.4 s" in done.warnings[0]
     assert not correct_checked(r, device(drift=None), policy=policy).missing.any()  # nothing asks for a temperature
 
 
@@ -213,7 +212,7 @@ def test_nan_makes_a_gap_of_what_a_table_does_not_cover_in_the_triads_that_have_
 def test_a_rate_beyond_the_dynamic_table_is_held_and_reported():
     c = device(drift=tables())
     fast = replace(record(), gyro=np.full((N, 3), 3000.0))
-    with pytest.warns(DriftRangeWarning, match=r"table covers -90.0 to 90.0 deg/s"):
+    with pytest.warns(DriftRangeWarning, match=r"\(-90.0 to 90.0 deg/s\)"):
         correct(fast, c)
 
 
@@ -233,7 +232,7 @@ def test_correct_warns_of_all_that_the_checked_correction_states():
 
 def test_constant_offsets_far_from_their_temperature_are_reported():
     c = device(drift=None)
-    with pytest.warns(DriftRangeWarning, match=r"by up to 1\d.\d degC from 25.0 degC"):
+    with pytest.warns(DriftRangeWarning, match=r"by up to 1\d.\d degC from the reference, 25.0 degC"):
         correct(record(low=20.0, high=40.0), c)
     assert correct_checked(record(low=20.1, high=29.9), c).warnings == ()
     assert correct_checked(record(low=20.0, high=40.0), device(reference_temp_c=np.nan)).warnings == ()

@@ -114,7 +114,7 @@ def test_the_range_is_that_of_the_temperature_without_lag_and_the_warning_states
         correct_checked(r, c)
     done = correct_checked(r, c, policy="hold")
     assert done.reach.seconds_outside == pytest.approx(0.06, abs=0.011)  # 0.94 degC above 75; one sample at each end
-    assert "degC were recorded (thermometer lag subtracted: 0.5 s)" in done.warnings[0]
+    assert "0.5 s of thermometer lag" in done.warnings[0]
 
 
 def test_a_lag_without_a_table_changes_nothing():

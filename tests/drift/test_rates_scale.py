@@ -94,7 +94,7 @@ def test_rows_with_gaps_are_left_out_and_counted():
     gyro = steps.gyro.copy()
     gyro[[3, 80], 1] = np.nan
     plain, truth = fitted(made, steps=replace(steps, gyro=gyro))
-    assert any("2 of 390 rate steps left out: gaps" in reason for reason in plain.verdict.reasons)
+    assert any("2 of 390" in reason for reason in plain.verdict.reasons)
     assert (
         np.abs(plain.drift.gyro_matrix - truth.scale.gyro_matrix).max() < 1e-5 * np.abs(truth.scale.gyro_matrix).max()
     )

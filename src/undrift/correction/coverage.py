@@ -139,17 +139,23 @@ def coverage_findings(reach: Reach, calibration: Calibration) -> tuple[Finding, 
     if reach.seconds_without_temperature > 0.0:
         seconds = reach.seconds_without_temperature
         sentence = f"The drift table has no temperature for {seconds:.1f} s, and the result is a gap (NaN) there."
-        findings.append(finding("correct.no_temperature", "warn", sentence, "Fill in the temperature."))
+        findings.append(
+            finding("correct.no_temperature", "warn", sentence, "Fill in the temperature.", seconds=seconds)
+        )
     if (seconds := reach.seconds_outside) > 0.0:
         low, high, lag_s = *reach.temp_c, drift.lag_s if drift else 0.0
         lag = f", after subtraction of {lag_s:g} s of thermometer lag" if lag_s else ""
         findings.append(
-            _outside(f"{seconds:.1f} s are outside the drift table: {low:.1f} to {high:.1f} degC were recorded{lag}.")
+            _outside(
+                f"{seconds:.1f} s are outside the drift table: {low:.1f} to {high:.1f} degC were recorded{lag}.",
+                seconds=seconds,
+            )
         )
     if (seconds := reach.seconds_extrapolated) > 0.0:
         findings.append(
             _outside(
-                f"The drift table is extrapolated for {seconds:.1f} s: it has no data near these temperatures and rates."
+                f"The drift table is extrapolated for {seconds:.1f} s: it has no data near these temperatures and rates.",
+                seconds=seconds,
             )
         )
     if (departure := reach.departure_c) > REFERENCE_SPAN_C:
@@ -165,14 +171,17 @@ def coverage_findings(reach: Reach, calibration: Calibration) -> tuple[Finding, 
         covered = f"{told_apart(first, '.1f', least)} to {told_apart(last, '.1f', greatest)} deg/s"
         findings.append(
             _outside(
-                f"The turn rates {recorded} are outside the dynamic drift table ({covered}). Its end values were used."
+                f"The turn rates {recorded} are outside the dynamic drift table ({covered}). Its end values were used.",
+                least_dps=least,
+                greatest_dps=greatest,
             )
         )
     return tuple(findings)
 
 
-def _outside(sentence: str) -> Finding:
-    return finding("correct.outside", "warn", sentence, "Extend the thermal session to these temperatures and rates.")
+def _outside(sentence: str, **values: float) -> Finding:
+    action = "Extend the thermal session to these temperatures and rates."
+    return finding("correct.outside", "warn", sentence, action, **values)
 
 
 def model_findings(record: Record, calibration: Calibration, carry: Carry) -> tuple[Finding, ...]:
