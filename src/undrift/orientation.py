@@ -31,7 +31,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, Shape, bridged, freeze, runs
-from undrift.base.summary import at
 from undrift.calibration.triads import check_triads
 from undrift.correction.rest import (
     FEWEST,
@@ -46,6 +45,7 @@ from undrift.correction.rest import (
 from undrift.errors import InputError, check_choices
 from undrift.findings import Finding, finding
 from undrift.frames import integrate_strapdown, quaternion_conjugate, quaternion_product, rotate
+from undrift.io.dataframes import orientation_frame
 from undrift.kernels.attitude import filtered_attitude
 from undrift.model import AXES, BodyMounting, TriadModel
 from undrift.record import FACES, Face, Record, Still
@@ -296,9 +296,7 @@ class Orientation(Shown):
 
     def to_frame(self) -> "pd.DataFrame":
         """Return the orientation as a pandas DataFrame: time_s, q_w to q_z, and the angles in deg, as `orient` writes them."""
-        angles = self.inclination, self.heading, self.pitch
-        frame: pd.DataFrame = at("undrift.io.dataframes:orientation_frame")(self.time, self.q_nb, angles)
-        return frame
+        return orientation_frame(self.time, self.q_nb, (self.inclination, self.heading, self.pitch))
 
 
 def orient(

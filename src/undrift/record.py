@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 
 from undrift.arrays import BoolArray, FloatArray, Shape, freeze, frozen
 from undrift.base.codec import stored
-from undrift.base.summary import at
 from undrift.errors import InputError
 from undrift.frames import Frame
 from undrift.shown import Shown
@@ -179,15 +178,15 @@ class Record(Shown):
         >>> undrift.Record.from_frame(frame, **how, sample_rate_hz=10.0).accel_unit
         'g'
         """
-        record: Record = at("undrift.io.dataframes:read_frame")(
-            frame, columns, units or {}, sample_rate_hz=sample_rate_hz, gaps=gaps, device=device
-        )
-        return record
+        from undrift.io.dataframes import read_frame
+
+        return read_frame(frame, columns, units or {}, sample_rate_hz=sample_rate_hz, gaps=gaps, device=device)
 
     def to_frame(self) -> "pd.DataFrame":
         """Return the record as a pandas DataFrame with undrift's own column names. ``from_frame`` reads it back."""
-        frame: pd.DataFrame = at("undrift.io.dataframes:frame_of")(self)
-        return frame
+        from undrift.io.dataframes import frame_of
+
+        return frame_of(self)
 
     def facts(self) -> dict[str, str]:
         """Return the rows of the value's table: what, and its value with unit."""

@@ -17,7 +17,6 @@ from typing import Annotated, Any, Literal, NamedTuple, get_args
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, Shape, freeze
-from undrift.base.summary import at
 from undrift.errors import InputError, check_positive
 from undrift.record import Record
 from undrift.units import canonical_unit
@@ -387,11 +386,9 @@ def finite(rows: FloatArray) -> FloatArray:
     return np.asarray(rows[~np.isinf(rows).any(axis=1)])
 
 
-DECODERS = {"line": LineDecoder, "frame": FrameDecoder}
-LOG = "undrift.live.log:LogDecoder"  # loaded when required, because it imports io/log.py, which the simulator must not
-
-
 def decoder_for(description: StreamDescription) -> Decoder:
     """Return the decoder of a stream."""
-    decoder: Decoder = (DECODERS.get(description.format) or at(LOG))(description)
-    return decoder
+    from undrift.live.log import LogDecoder  # which imports this module
+
+    decoders: dict[str, type[Decoder]] = {"line": LineDecoder, "frame": FrameDecoder}
+    return decoders.get(description.format, LogDecoder)(description)
