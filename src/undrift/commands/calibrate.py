@@ -88,7 +88,7 @@ def calibrate(
     if kind is not None:
         session = replace(session, sensitivity=sensitivity_of(kind))
     progress("fitting", 0.5)
-    tables, pieces = list[Table](), tuple[Piece, ...]()
+    tables, details, pieces = list[Table](), list[Table](), tuple[Piece, ...]()
     if rates is not None:
         session, clocks = _turns_of_log(session, rates, settings)
         tables.append(clocks)
@@ -98,7 +98,7 @@ def calibrate(
     else:
         calibration, observed = fit(session, accel=accel, gyro=gyro, mode=mode, settings=settings)
         pieces = pieces_of(observed, calibration)
-        tables.append(_recordings(session, pieces))
+        details.append(_recordings(session, pieces))
     if kind is not None:
         provenance = calibration.provenance
         calibration = replace(
@@ -112,6 +112,7 @@ def calibrate(
     return replace(
         report,
         tables=[*report.tables, *tables],
+        details=[*details, *report.details],
         notes=[*report.notes, *_lacking(session, calibration), *([] if output else [NOT_WRITTEN])],
         figures=[*figures, *report.figures],
         written=[output] if output else [],
@@ -178,7 +179,9 @@ def _recordings(session: Session, pieces: tuple[Piece, ...]) -> Table:
             sum(piece.recording == k and bool(piece.why) for piece in pieces),
         )
         seconds = sum(piece.stop - piece.start for piece in used) / record.sample_rate_hz
-        rows.append((name, record.duration_s, seconds, kinds.count("still"), kinds.count("turn"), omitted))
+        rows.append(
+            (name, len(record) / record.sample_rate_hz, seconds, kinds.count("still"), kinds.count("turn"), omitted)
+        )
     columns = ("recording", "length (s)", "used (s)", "rests used", "turns used", "not used")
     return Table(title="Recordings", columns=columns, rows=rows, form=".1f")
 

@@ -307,10 +307,11 @@ def draw_recording(records: Sequence[Record], pieces: Sequence["Piece"], *, titl
     names = [name for name in ("gyro", "accel") if any(getattr(record, name) is not None for record in records)]
     figure, (strip, *panels) = _strip_and_panels(len(names), pieces)
     starts, marks = _one_after_the_other(records), dict[str, Any]()
+    labelled_to = dict.fromkeys(_LEVELS.values(), -np.inf)
     for number, record in enumerate(records):
         time = record.time - record.time[0] + starts[number]
         phases = [piece for piece in pieces if piece.recording == number]
-        _draw_pieces(strip, panels, time, phases, starts[-1] - starts[0])
+        _draw_pieces(strip, panels, time, phases, starts[-1] - starts[0], labelled_to)
         for panel, name in zip(panels, names, strict=True):
             marks |= {} if getattr(record, name) is None else _draw_readings(panel, time, getattr(record, name))
         marks |= _draw_gaps(panels, time, record)
@@ -384,10 +385,17 @@ def _draw_gaps(panels: Sequence["Axes"], time: FloatArray, record: Record) -> di
 
 
 def _draw_pieces(
-    strip: "Axes", panels: Sequence["Axes"], time: FloatArray, pieces: Sequence["Piece"], duration_s: float
+    strip: "Axes",
+    panels: Sequence["Axes"],
+    time: FloatArray,
+    pieces: Sequence["Piece"],
+    duration_s: float,
+    labelled_to: dict[float, float],
 ) -> None:
-    """Draw a bar for each piece, its label where there is room, and a shade behind each still."""
-    reached = dict.fromkeys(_LEVELS.values(), -np.inf)
+    """Draw a bar for each piece, its label where there is room, and a shade behind each still.
+
+    The end of the last label at each level, s, is updated.
+    """
     for piece in pieces:
         start, stop = float(time[piece.start]), float(time[piece.stop - 1])
         level = _LEVELS["left out" if piece.why else piece.kind]
@@ -395,9 +403,9 @@ def _draw_pieces(
         bar |= {"alpha": 0.5, "hatch": "////"} if piece.why else {}
         strip.broken_barh([(start, max(stop - start, 0.002 * duration_s))], (level - 0.26, 0.52), **bar)
         middle, reach = 0.5 * (start + stop), 0.5 * _ROOM * duration_s * len(piece.label)
-        if piece.label and not piece.why and middle - reach >= reached[level]:
+        if piece.label and not piece.why and middle - reach >= labelled_to[level]:
             strip.text(middle, level + 0.27, piece.label, ha="center", va="bottom", fontsize=7.0)
-            reached[level] = middle + reach
+            labelled_to[level] = middle + reach
         if piece.kind == "still" and not piece.why:
             for panel in panels:
                 panel.axvspan(start, stop, color=SHADE, linewidth=0.0, zorder=0)

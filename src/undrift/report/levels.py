@@ -38,6 +38,9 @@ def level_details(table: LevelTable) -> list[Table]:
     """Return the errors at each level for each task and device, and of each trial."""
     groups = dict.fromkeys(summary.group for summary in table.summaries if summary.group != "all")
     tables = [_errors_table(table, group) for group in groups]
+    missing = [(label_of(table, row.level, row.method), row.missing) for row in table.errors if row.missing]
+    if missing:
+        tables.append(Table(title="Levels without a result", columns=("level", "reason"), rows=missing))
     if len(table.trials) > 1:
         names = TRIAL if any(trial.person or trial.task or trial.device for trial in table.trials) else TRIAL[:1]
         labels = [label_of(table, errors.level, errors.method) for errors in table.errors]
@@ -90,12 +93,8 @@ def _note(table: LevelTable, group: str) -> str:
             f"From three people on, each level is compared with the level above it: better, equivalent or worse by "
             f"{table.margin_deg:g} deg, at 5 % over all levels."
         )
-    if group == "all":
-        if any(np.isfinite(errors.difference_deg).any() for errors in table.errors):
-            parts.append(SIMULATED)
-        for reason in dict.fromkeys(errors.missing for errors in table.errors if errors.missing):
-            levels = (label_of(table, x.level, x.method) for x in table.errors if x.missing == reason)
-            parts.append(f"{'; '.join(levels)}: {reason.rstrip('.')}.")
+    if group == "all" and any(np.isfinite(errors.difference_deg).any() for errors in table.errors):
+        parts.append(SIMULATED)
     return " ".join(parts)
 
 
