@@ -13,6 +13,7 @@ from undrift.calibration.codes import (
     code_variance,
     device_adc,
     identify_adc,
+    rounding_correlation,
     without_truncation,
 )
 from undrift.calibration.settings import CalibrateSettings
@@ -161,3 +162,12 @@ def test_gap_in_a_rest_is_no_sweep_through_the_codes() -> None:
     assert _swept_codes(rest, 1.0).sum() == 0.0
     rest[100:110] = np.nan
     assert _swept_codes(rest, 1.0).sum() == 0.0
+
+
+def test_rounding_errors_are_shared_as_often_as_two_inputs_have_one_code():
+    rng, distance, spread = np.random.default_rng(2), 0.3, 0.4
+    first = rng.uniform(-50.0, 50.0, 200_000)
+    second = first + distance + spread * rng.standard_normal(len(first))
+    expected = rounding_correlation(np.array([distance, 0.0, 1e4]), np.array([spread, 0.0, 0.0]))
+    # a share of 0.6 in 200,000 draws is uncertain by 0.001
+    np.testing.assert_allclose(expected, [np.mean(np.round(first) == np.round(second)), 1.0, 0.0], atol=5e-3)

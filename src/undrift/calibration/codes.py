@@ -187,6 +187,24 @@ def code_variance(step: FloatArray, scatter: FloatArray) -> FloatArray:
     )
 
 
+def rounding_correlation(distance: FloatArray, spread: FloatArray) -> FloatArray:
+    """Return the correlation of the rounding errors of two inputs. Their distance is normal, with mean and spread in steps.
+
+    For a known distance d it is max(1 - |d|, 0), which is half the second difference of |d|.
+    """
+    from scipy.special import erf
+
+    spread = np.maximum(spread, 1e-9)
+
+    def mean_size(mean: FloatArray) -> FloatArray:  # of a normal distance
+        ratio = mean / spread
+        density = np.exp(-0.5 * ratio**2) * np.sqrt(2.0 / np.pi)
+        return np.asarray(spread * density + mean * erf(ratio / np.sqrt(2.0)))
+
+    shared = 0.5 * (mean_size(distance + 1.0) - 2.0 * mean_size(distance) + mean_size(distance - 1.0))
+    return np.asarray(shared.clip(0.0))
+
+
 def scatter_of_readings(windows: Sequence[FloatArray]) -> FloatArray:
     """Return the variance S (3,) of single readings, from windows (N, 3) in which they vary slowly.
 

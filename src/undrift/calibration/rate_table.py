@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration.codes import limited_by_codes
+from undrift.calibration.codes import limited_by_codes, rounding_correlation
 from undrift.calibration.plausibility import (
     SCALE_TOLERANCE,
     check_axis_order,
@@ -164,10 +164,7 @@ def _sources(dwells: DwellMeans, rates: FloatArray, matrix: FloatArray) -> dict[
     floor = (MIN_NOISE * float(np.abs(dwells.reading).max())) ** 2 + 1e-300
     noise = np.zeros_like(dwells.reading) if dwells.noise is None else dwells.noise**2
     codes = np.minimum(dwells.codes, noise)
-    # Equal readings have equal rounding errors. Readings a step or more apart have independent errors, because their positions
-    # between two codes are unknown. For smaller distances the correlation falls linearly.
-    place = dwells.reading / np.where(dwells.codes > 0.0, dwells.step, 1.0)
-    rounding = np.sqrt(codes[:, None] * codes) * np.maximum(1.0 - np.abs(place[:, None] - place), 0.0)
+    rounding = np.sqrt(codes[:, None] * codes) * _shared_rounding(dwells, rates, matrix, codes)
     sources = {
         "noise": in_case(matrix, np.eye(count)[:, :, None] * np.maximum(noise - codes, floor)[:, None]),
         "adc": in_case(matrix, rounding),
@@ -180,6 +177,22 @@ def _sources(dwells: DwellMeans, rates: FloatArray, matrix: FloatArray) -> dict[
         sources["rate"] = np.outer(common, common)
         sources["mounting"] = tilts @ tilts.T
     return sources
+
+
+def _shared_rounding(dwells: DwellMeans, rates: FloatArray, matrix: FloatArray, codes: FloatArray) -> FloatArray:
+    """Return the correlation (N, N, 3) of the rounding errors of two rows, for their variance ``codes`` (N, 3).
+
+    Equal inputs have equal errors. Rates give the distance of two inputs, but for the g-sensitivity and for rounding in the
+    matrix. Equal readings are no equal inputs, because a cross-axis term may be less than a step.
+    """
+    step = np.where(dwells.codes > 0.0, dwells.step, 1.0)
+    inputs = rates @ np.linalg.inv(matrix).T / step
+    leverage = (rates[:, None] - rates) / np.linalg.norm(rates, axis=0).clip(1e-9)
+    spread = np.linalg.norm(leverage, axis=2)[:, :, None] * np.sqrt(codes) / step
+    if dwells.force is not None:
+        felt = G_SENSITIVITY * np.linalg.norm(dwells.force[:, None] - dwells.force, axis=2)
+        spread = np.hypot(spread, felt[:, :, None] / np.abs(np.diag(matrix)) / step)
+    return rounding_correlation(inputs[:, None] - inputs, spread)
 
 
 def _excess(dwells: DwellMeans) -> dict[str, FloatArray]:
