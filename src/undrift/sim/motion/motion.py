@@ -239,15 +239,8 @@ def mean_rate(time: FloatArray, q_nb: FloatArray, first: FloatArray) -> FloatArr
 # ---- Script: a bench motion written as a list of rotations about fixed axes, each with a polynomial angle.
 
 
-class Angle(Protocol):
-    """Angle of a turn over the local time s in [0, 1], rad."""
-
-    def at(self, s: FloatArray | float) -> FloatArray:
-        """Return the angle and its first and second derivative with respect to s: (...) -> (3, ...)."""
-
-
 class PolynomialAngle:
-    """A polynomial, lowest power first."""
+    """An angle over the local time s in [0, 1], rad, as a polynomial with the lowest power first."""
 
     def __init__(self, *coefficients: float) -> None:
         self.coefficients = np.array(coefficients)
@@ -304,6 +297,9 @@ class UnevenAngle:
                 w * self.duration_s**2 * slope,
             )
         )
+
+
+Angle = PolynomialAngle | UnevenAngle
 
 
 @dataclass(frozen=True, slots=True, eq=False)
