@@ -18,7 +18,7 @@ drift sample/thermal --calibration c.json -o t.json --report drift.html
 validate sample/sit_to_stand.parquet --reference sample/sit_to_stand_optics.parquet --calibration t.json --offset none -o after"""
 PICTURES = {  # name: page, and which picture of it
     "session": ("session.html", 0),
-    "calibration": ("calibration.html", 2),
+    "calibration": ("calibration.html", 0),
     "matrix": ("calibration.html", 1),
     "drift": ("drift.html", 0),
     "trial": ("after/report.html", 0),

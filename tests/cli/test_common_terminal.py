@@ -4,14 +4,11 @@ Every call by the fixture ``undrift`` compares what those terminals show; here a
 numbers of the JSON.
 """
 
-import re
-
 import pytest
 from hypothesis import strategies as st
 
-from testkit.terminal import WIDTHS, Terminal, on
+from testkit.terminal import Terminal, on
 from undrift.cli import common
-from undrift.cli.app import run
 
 pytestmark = pytest.mark.usefixtures("computed_once")
 
@@ -46,28 +43,3 @@ def test_a_line_that_is_written_over_keeps_whole_words_and_says_that_there_is_mo
         common.Terminal().over("[3/120] 0:12:01 left  dwell x, soaking  gyro 123.456 deg/s")
         common.Terminal().over("gyro 123.456 deg/s")
     assert place.getvalue() == "\r\x1b[J[3/120] 0:12:01 left  dwell x, …\r\x1b[Jgyro 123.456 deg/s"
-
-
-def on_a_terminal(width: int, *words: object) -> list[str]:
-    """The words that a command writes to a terminal."""
-    with on(place := Terminal(), width):
-        assert run([str(word) for word in words]) == 0
-    return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", place.getvalue()).split()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("width", WIDTHS)
-def test_each_number_of_the_json_that_a_table_shows_is_there_to_its_last_digit(undrift, bench, width):
-    words = ("calibrate", bench / "session")
-    told, pattern = undrift.good(*words, "--json").json(), re.compile(r"(-?\d+\.?\d*)\(\d+\)")
-    shown = [found[1] for word in on_a_terminal(width, *words) if (found := pattern.fullmatch(word))]
-    wanted = []
-    for name in ("accel", "gyro"):
-        for row, offset in zip(told[name]["matrix"], told[name]["offset"], strict=True):
-            wanted += [*row, offset]
-    assert [f"{value:.{len(text.partition('.')[2])}f}" for value, text in zip(wanted, shown, strict=True)] == shown
-
-    words = ("noise", bench / "corrected.parquet", "--rest-s", "0:5")
-    rows, shown = undrift.good(*words, "--json").json(), {word.strip("[],") for word in on_a_terminal(width, *words)}
-    walks = [row["angle_random_walk"] for row in (*rows["gyro"], *rows["accel"])]
-    assert {f"{value:.3g}" for walk in walks for value in (walk["value"], *walk["interval"])} <= shown

@@ -14,7 +14,7 @@ from undrift.orientation import OrientSettings, orient, sagittal_pitch
 from undrift.sim.device.presets import random_device
 from undrift.sim.sessions import simulate_session, simulate_trial
 
-GRADES = ("consumer", "wearable", "mpu6050")
+GRADES = ("consumer", "wearable", "mpu6050", "enc03j_3031")
 
 
 def pitch_errors(device, calibration, task, rng):
@@ -30,7 +30,7 @@ def test_nine_in_ten_pitch_errors_of_fifty_devices_are_within_the_sentence():
     within, change_within = [], []
     for seed in range(50):
         rng = np.random.default_rng(seed)
-        device = random_device(rng, grade=GRADES[seed % 3])
+        device = random_device(rng, grade=GRADES[seed % 4])
         kind = "multi_position" if seed % 5 == 4 else "bench"
         calibration = calibrate(simulate_session(kind, device, rng=rng))
         gyro_alone = pitch_limits(replace(calibration, accel=None))

@@ -139,5 +139,5 @@ def test_a_calibration_prints_its_answer_and_verdict() -> None:
     )
     lines = repr(made).splitlines()
     assert len(lines) == 2
-    assert "the pitch is good to" in lines[0]
+    assert "Good for a sit-to-stand after a rest: pitch within" in lines[0]
     assert "verdict" in lines[1]

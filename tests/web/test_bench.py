@@ -26,7 +26,7 @@ FITTED = {"accel": {}, "gyro": {}, "provenance": {"settings": {"gravity": "stand
 @pytest.fixture
 def bench(tmp_path):
     made = Bench(ServerSettings(folder=tmp_path / "bench"))
-    made.calls, made.answer = [], CommandOutcome(code=0, answer=FITTED)
+    made.calls, made.answer = [], CommandOutcome(code=0, answer={"data": FITTED})
 
     async def command(*words, folder=None):
         made.calls.append([str(word) for word in words])
@@ -93,13 +93,13 @@ def test_a_job_of_an_earlier_day_is_calibrated_by_the_words_it_was(bench):
 
 def test_a_calibration_without_accelerometers_is_not_used_unasked(bench):
     job = bench.new_job()
-    bench.answer = CommandOutcome(code=0, answer={"gyro": {}, "accel": None})
+    bench.answer = CommandOutcome(code=0, answer={"data": {"gyro": {}, "accel": None}})
     (job.folder / "calibration.json").write_text("{}")
     visit = bench.visit
     asyncio.run(visit.calibrate(job, "walk.csv"))
     assert job.lacks == ("accelerometers",)
     assert visit.calibration is None
-    bench.answer = CommandOutcome(code=0, answer=FITTED)
+    bench.answer = CommandOutcome(code=0, answer={"data": FITTED})
     asyncio.run(visit.calibrate(job, "walk.csv"))
     assert (job.lacks, visit.calibration) == ((), job.folder / "calibration.json")
 

@@ -208,24 +208,6 @@ def plain_words(name: str) -> str:
     return name.replace("_", " ")
 
 
-def concise(value: float, uncertainty: float) -> str:
-    """Return a value with its standard uncertainty in brackets, in units of the last digits: 0.99643(11)."""
-    if not (uncertainty > 0.0 and math.isfinite(uncertainty)):
-        return f"{value:.6g}"
-    places = max(0, 1 - math.floor(math.log10(uncertainty)))
-    if places > 9:
-        return f"{value:.6g}({uncertainty:.1g})"
-    return f"{value:.{places}f}({round(uncertainty * 10.0**places)})"
-
-
-def plus_minus(value: float, uncertainty: float) -> str:
-    """Return a value with its standard uncertainty, to the uncertainty's second digit: +0.0279 +- 0.0012."""
-    if not (uncertainty > 0.0 and math.isfinite(uncertainty)):
-        return f"{value:+.3g}" if math.isfinite(value) else "not seen"
-    places = min(9, max(0, 1 - math.floor(math.log10(uncertainty))))
-    return f"{value:+.{places}f} +- {uncertainty:.{places}f}"
-
-
 def plain(value: object) -> Plain:
     """Return a value made of what JSON knows: arrays as lists, NaN and infinity as None."""
     if isinstance(value, Mapping):

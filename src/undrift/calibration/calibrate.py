@@ -22,7 +22,6 @@ from undrift.arrays import FloatArray
 from undrift.calibration.codes import device_adc, restored
 from undrift.calibration.in_motion import InMotion, fit_in_motion, without_gaps
 from undrift.calibration.known_rotation import calibrate_turns
-from undrift.calibration.magnetometer import FieldReadings, fit_magnetometer
 from undrift.calibration.moves import FEWEST_POSES, calibrate_moves, calibrate_poses
 from undrift.calibration.plausibility import check_gyro_scale, missing_faces
 from undrift.calibration.quality import check_accel, mean_reading
@@ -539,6 +538,8 @@ def from_motion(session: Session, *, magnetometer: bool = False) -> tuple[Calibr
 
 def _fit_field(records: Sequence[Record], rates: Sequence[FloatArray], fit: InMotion) -> tuple[Magnetometer, Verdict]:
     """Fit the magnetometer with the recordings that have one. Gyroscopes and gravity determine the attitude."""
+    from undrift.calibration.magnetometer import FieldReadings, fit_magnetometer  # imports much of scipy
+
     readings = dict[int, FieldReadings]()
     for number, (record, rate) in enumerate(zip(records, rates, strict=True)):
         if record.mag_ut is not None:

@@ -12,7 +12,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtrit
 
 from undrift.arrays import FloatArray
 from undrift.calibration.norm import QUADRATIC_SD
@@ -77,4 +76,6 @@ def expand(triad: TriadModel, gravity: float = 0.0) -> ParameterTable:
 
 def coverage_factors(freedom: FloatArray) -> FloatArray:
     """Return k for degrees of freedom (P,)."""
+    from scipy.special import stdtrit
+
     return np.where(freedom >= ENOUGH, COVERAGE, stdtrit(np.minimum(freedom, 1e6), STUDENT_TAIL))

@@ -25,7 +25,6 @@ from undrift.errors import Implausible
 from undrift.findings import Finding, finding
 from undrift.frames import rotate
 from undrift.io.inspect import find_saturated
-from undrift.kernels.rotation import strapdown
 from undrift.record import Record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
@@ -67,6 +66,8 @@ class _Windows:
 
     def kept(self, order: FloatArray, scale: float) -> FloatArray:
         """Return the squared length of the mean force with the rotation undone, (W,)."""
+        from undrift.kernels.rotation import strapdown  # imported here for a quick --help
+
         count, length, _ = self.turn.shape
         q = np.empty((count * length, 4))
         turn = np.ascontiguousarray(scale * self.turn @ order.T).reshape(-1)

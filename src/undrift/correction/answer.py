@@ -5,19 +5,20 @@ is that of gravity at the rest. The offset of the gyroscopes is the mean rate at
 about an axis p of the device is::
 
     u^2(t) = u_f^2 / g^2 + u_a^2 + A^2 u_pp^2 + A_q^2 sum_q u_pq^2
-             + t^2 (N^2 / R + B^2 + m^2 + s^2 + sum_c (u_pc <f_c - f_c(0)>)^2) + N^2 t
+             + t^2 (N^2 / R + B^2 + m^2 + r^2 + s^2 + sum_c (u_pc <f_c - f_c(0)>)^2) + N^2 t
 
     u_f     specific force at rest, across p and the vertical: accelerometers, temperature, a year of ageing and codes (rest.py)
     u_a     axes of the sensors in the case, if only the size of gravity was used: 0.01 rad, as cross-axis terms of data sheets
     u_pq    error matrix E = dM M^-1 of the gyroscopes: scale factor, and cross-axis terms for turns A_q = 10 deg about the others
     N, B    noise of the rate at the rest and in motion, and flicker of the offset between them
     m       change of the offset from rest to motion, if the calibration has it fitted
+    r       rounding to codes at the rest: the share of codes in the offset of the calibration, times the root of its rests
     s       a third of a code step, if codes are truncated toward zero and the offset is within a step of zero
     u_pc    g-sensitivity of the gyroscopes, for the mean change of the specific force during a lean
 
 Without a rest, the offset is that of the calibration. Its covariance, and its changes at a switch-on, with temperature and from
-rest to motion, take the place of N^2 / R and m^2. The limit is 1.96 u for the least certain axis p and vertical. An accelerometer
-without gyroscopes has the first two terms only. Gyroscopes without an accelerometer have the others, for a change of the pitch.
+rest to motion, take the place of N^2 / R, m^2 and r^2. The limit is 1.96 u for the least certain axis p and vertical. Without
+gyroscopes it has the first two terms only. Without an accelerometer it has the others, for a change of the pitch.
 """
 
 import math
@@ -65,6 +66,8 @@ def pitch_limits(calibration: Calibration, *, rested: bool = True, away_k: float
 
 def answer_sentence(calibration: Calibration) -> str:
     """Return what a calibration is good for and what not, in one or two sentences."""
+    if calibration.verdict.status == "bad":
+        return "Do not use this calibration, because a number of it may be wrong. The findings say why."
     limits = pitch_limits(calibration, away_k=WITHIN_K)
     if limits is None:
         return "This calibration has no uncertainty, so it is not known what it is good for."
@@ -138,11 +141,22 @@ def _rate_variance(calibration: Calibration, gyro: TriadModel, *, rested: bool, 
         codes = np.where(np.abs(gyro.offset) < triad.lsb, step / 3.0, 0.0)
     to_motion = moved_by(gyro) ** 2 / 3.0
     if rested:
-        offset = np.full(3, GYRO_NOISE**2 / REST_S + (to_motion if gyro.moving_offset is not None else 0.0))
+        offset = _rest_code_variance(calibration, gyro) + GYRO_NOISE**2 / REST_S
+        offset += to_motion if gyro.moving_offset is not None else 0.0
     else:
         by_temperature = _per_k(calibration, "gyro_offset_dps_per_k") * RADIAN_PER_DEGREE * away_k
         offset = np.diag(gyro.offset_covariance) + CALIBRATED_RATE**2 + by_temperature**2 + to_motion
     return np.asarray(by_force + (offset + codes**2 + GYRO_FLICKER**2)[:, None])
+
+
+def _rest_code_variance(calibration: Calibration, gyro: TriadModel) -> FloatArray:
+    """Return the variance of the mean of a rest by rounding to codes, (3,), (rad/s)^2."""
+    rests = str(dict(calibration.provenance.settings).get("stills", "")).partition(" ")[0]
+    if gyro.budget is None or "adc" not in gyro.budget.sources or not rests.isdigit():
+        return np.zeros(3)
+    share = gyro.budget.uncertainty[gyro.budget.sources.index("adc")]
+    of_offset = np.array([share[gyro.parameters.index(f"offset_{axis}")] for axis in AXES])
+    return np.asarray(int(rests) * (of_offset * gyro.si_per_reading("rate")) ** 2)
 
 
 def _row_covariance(model: TriadModel, kind: str, axis: str) -> FloatArray:

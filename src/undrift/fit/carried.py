@@ -13,11 +13,8 @@ uncertainty.
 """
 
 import numpy as np
-from scipy.linalg import eigh
-from scipy.optimize import minimize
 
 from undrift.arrays import FloatArray
-from undrift.kernels.rotation import carried_means
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 MEAN_S = 5.0  # length of a Hann mean
@@ -33,6 +30,8 @@ class CarriedMeans:
     def __init__(self, time: FloatArray, moving: FloatArray | None = None) -> None:
         """Prepare windows for samples at ``time`` (N,), s. ``moving`` (N,) is 1 in motion and 0 at rest, or None without a rest."""
         self.time = time
+        from scipy.linalg import eigh  # imported here for a quick --help
+
         self.middle = 0.5 * float(time[0] + time[-1])
         width = max(4, round(MEAN_S * (len(time) - 1) / float(time[-1] - time[0])))
         self.first = np.arange(0, len(time) - width + 1, width // 2)
@@ -58,6 +57,8 @@ class CarriedMeans:
 
         The errors are x_c e_b and y_c e_b for regressors x (N, C) and y (N, D) of rates (N, 3), rad/s, and forces (N, 3), m/s2.
         """
+        from undrift.kernels.rotation import carried_means
+
         count, channels = len(self.first), (rate_regressors.shape[1], force_regressors.shape[1])
         out = np.empty((count, 3 + 9 * sum(channels)))
         w, f, x, y = (
@@ -93,6 +94,8 @@ class CarriedMeans:
             total = information + np.diag(np.append(1.0 / usual**2, np.zeros(3)))
             cost += float(np.linalg.slogdet(total)[1] - right @ np.linalg.solve(total, right))
             return cost + float((((sizes - _SIZES) / _FACTOR) ** 2).sum()), information, right
+
+        from scipy.optimize import minimize
 
         close = {"xatol": 0.02, "fatol": 0.02}
         self.sizes = minimize(lambda sizes: solved(sizes)[0], self.sizes, method="Nelder-Mead", options=close).x  # type: ignore[call-overload]

@@ -70,7 +70,7 @@ def _pitch(calibration: Calibration) -> Iterator[Table]:
             rows.append((name, *(limits / RADIAN_PER_DEGREE).tolist()))
     if rows and calibration.gyro is not None:
         columns = ("recording", *(f"after {time_s:.0f} s (deg)" for time_s in TASK_S))
-        yield Table(title="Pitch of a sit-to-stand", columns=columns, rows=rows, form=".2g", note=PITCH_NOTE)
+        yield Table(title="Pitch of a sit-to-stand", columns=columns, rows=rows, form=".2f", note=PITCH_NOTE)
 
 
 def _uncertainty(calibration: Calibration) -> Table:

@@ -9,6 +9,7 @@ import platform
 import re
 import shlex
 from collections.abc import Iterable
+from html import escape
 from itertools import count
 from pathlib import Path
 
@@ -47,6 +48,20 @@ def page_text(report: Report, origin: Origin | None = None) -> str:
             versions=_versions(),
         )
     return text.lstrip()
+
+
+def notebook_text(report: Report) -> str:
+    """Return a report as a part of a notebook: answer, verdict with its first findings, and tables."""
+    parts = [f"<h4>{escape(report.title)}</h4><p>{escape(report.answer)}</p>"]
+    if report.verdict_shown:
+        parts.append(f"<p>Verdict: {report.status}</p>")
+    parts += (f"<li>{escape(item.text)}</li>" for item in report.ordered_findings[:SHOWN_FIRST])
+    for table in report.tables:
+        heads = "".join(f"<th>{escape(head)}</th>" for head in table.columns)
+        rows = ("".join(f"<td>{escape(cell)}</td>" for cell in row) for row in table.cells)
+        body = "".join(f"<tr>{row}</tr>" for row in rows)
+        parts.append(f"<table><caption>{escape(table.title)}</caption><tr>{heads}</tr>{body}</table>")
+    return "".join(parts)
 
 
 def write_page(path: Path, summary: Summary, origin: Origin | None = None) -> None:

@@ -156,9 +156,9 @@ class Report:
         return f"{self.title}: {self.answer}" + (f"\nverdict {self.status}" if self.verdict_shown else "")
 
     def _repr_html_(self) -> str:
-        from undrift.report.page import page_text
+        from undrift.report.page import notebook_text
 
-        return page_text(self)
+        return notebook_text(self)
 
 
 def as_json(report: Report, command: str) -> dict[str, Plain]:

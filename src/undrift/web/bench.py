@@ -153,7 +153,7 @@ class Bench:
         job.error = outcome.error
         if outcome.done:
             (job.folder / "certificate.html").unlink(missing_ok=True)  # it was another calibration's
-            remarks = {key: outcome.answer[key] for key in ("findings", "notes")}
+            remarks = {key: outcome.answer.get(key, []) for key in ("findings", "notes")}
             job.answer, job.later = {**outcome.answer["data"], **remarks}, []
             job.look()
         job.save()
