@@ -99,8 +99,7 @@ def test_quaternions_of_a_maker_are_read_with_the_map_that_info_proposes(tmp_pat
 
 def test_quaternions_beside_readings_of_a_maker_are_read_with_a_map():
     path = data_path("makers", "xsens_mtmanager", "skin_data_xsens.txt")
-    layout = TextLayout(delimiter="\t", skip_rows=4)
-    quaternion = tuple(f"Quat_{part}" for part in "wxyz")
-    poses = read_reference(path, reference_map(quaternion=quaternion, sample_rate_hz=50.0, layout=layout))
+    layout = TextLayout(delimiter="\t", skip_rows=5, header=False)  # rows end with a tab that the header lacks
+    poses = read_reference(path, reference_map(quaternion=(10, 11, 12, 13), sample_rate_hz=50.0, layout=layout))
     level = rotate(poses.q_nb, read_record(path).accel).mean(axis=0)
     np.testing.assert_allclose(level, [-0.06, -0.03, 9.75], atol=0.006)  # SOURCE.md

@@ -81,14 +81,14 @@ def _suffix(path: Path) -> str:
     return Path(path.name.lower().removesuffix(".gz")).suffix
 
 
-def _is_zip_with(*names: str) -> Callable[[Path, bytes], bool]:
-    """Recognise a zip that has a file of one of some names."""
+def _is_zip_with(name: str) -> Callable[[Path, bytes], bool]:
+    """Recognise a zip that has a file of a name."""
 
     def recognised(path: Path, head: bytes) -> bool:
         if not head.startswith(b"PK\x03\x04"):
             return False
         with sound(path, "zip"), zipfile.ZipFile(path) as archive:
-            return not set(names).isdisjoint(archive.namelist())
+            return name in archive.namelist()
 
     return recognised
 
@@ -111,12 +111,10 @@ def _starts(mark: bytes) -> Callable[[Path, bytes], bool]:
     return lambda _, head: head.startswith(mark)
 
 
-def _has(pattern: bytes, file: str = "") -> Callable[[Path, bytes], bool]:
-    """Recognise a text by a pattern in its head, and a folder by a file in it."""
+def _has(pattern: bytes) -> Callable[[Path, bytes], bool]:
+    """Recognise a text by a pattern in its head."""
     text = re.compile(pattern, re.MULTILINE)
-    return lambda path, head: (
-        (b"\0" not in head and text.search(head) is not None) if head else bool(file) and any(path.glob(file))
-    )
+    return lambda _, head: b"\0" not in head and text.search(head) is not None
 
 
 def _foreign(recognise: Callable[[Path, bytes], bool]) -> Callable[[Path, bytes], bool]:

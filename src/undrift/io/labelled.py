@@ -129,7 +129,6 @@ def sheet_of(path: Path, content: bytes) -> Sheet | None:
     at = above[-1] if above else None
     names = table[at] if at is not None else []
     offset = sum(len(line) + 1 for line in raw[:start])
-    names, first = _cut_header(names, delimiter)
     width = Counter(len(table[k]) for k in rows if k >= start).most_common(1)[0][0]
     while len(names) > width and not names[-1]:
         names = names[:-1]
@@ -140,7 +139,7 @@ def sheet_of(path: Path, content: bytes) -> Sheet | None:
         names=tuple(names) + ("",) * (width - len(names)),
         units=tuple(units[:width]) + ("",) * (width - len(units)),
         layout=TextLayout(delimiter=delimiter, decimal=decimal, header=False),
-        rows=first + (packed(content[offset:]) if delimiter == " " else content[offset:]),
+        rows=packed(content[offset:]) if delimiter == " " else content[offset:],
         unit_row=unit_row,
     )
 
@@ -180,16 +179,6 @@ def _bare(cell: str) -> str:
 def _are_units(cells: list[str]) -> bool:
     filled = [_bare(cell) for cell in cells if cell]
     return bool(filled) and sum(is_unit(cell) for cell in filled) >= _NUMERIC * len(filled)
-
-
-def _cut_header(names: list[str], delimiter: str) -> tuple[list[str], bytes]:
-    """Return the names and the first row of a header that runs into it: "temp[C],hum[0,-748,608"."""
-    for k, name in enumerate(names[:-1]):
-        cut = re.fullmatch(r"(.*)[\[(](-?\d+(?:\.\d+)?)", name)
-        if cut and all(is_number(cell) for cell in names[k + 1 :] if cell):
-            row = delimiter.join([cut.group(2), *names[k + 1 :]])
-            return [*names[:k], cut.group(1)], f"{row}\n".encode()
-    return names, b""
 
 
 # ---- units and names

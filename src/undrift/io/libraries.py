@@ -176,7 +176,7 @@ def _ros(path: Path, sensor: str | None, drop: bool, **_: Any) -> Parsed:
     return found
 
 
-_TOPICS = ["sensor_combined", "sensor_gyro", "sensor_accel", "sensor_selection"]
+_TOPICS = ["sensor_combined", "sensor_gyro", "sensor_accel"]
 
 
 def _ulog(path: Path, sensor: str | None, drop: bool, **_: Any) -> Parsed:
@@ -207,12 +207,6 @@ def _ulog(path: Path, sensor: str | None, drop: bool, **_: Any) -> Parsed:
         found.notes.append("already corrected by the autopilot (board rotation, CAL_ parameters): frame b")
         for channel, name, unit in (("gyro", "gyro_rad", "rad/s"), ("accel", "accelerometer_m_s2", "m/s2")):
             found.channels[channel] = (np.stack([data[f"{name}[{k}]"] for k in range(3)], axis=1), unit)
-        ids = {int(k) for (name, _), d in topics.items() if name == "sensor_selection" for k in d["gyro_device_id"]}
-        gyros = {n: d for (name, n), d in topics.items() if name == "sensor_gyro" and "temperature" in d}
-        own = [n for n, d in gyros.items() if {int(k) for k in d.get("device_id", ())} == ids]
-        if len(own) == 1 and np.isfinite((slow := gyros[own[0]])["temperature"]).all():
-            found.channels["temp"] = (np.interp(found.time, clock(slow), slow["temperature"]), "degC")
-            found.notes.append(f"temperature of sensor_gyro {own[0]}, which the autopilot chose, interpolated")
         found.about = {"device": hardware, "frame": "b", "state": "corrected"}
         return found
     both = {name: topics.get((f"sensor_{name}", int(sensor))) for name in ("gyro", "accel")}

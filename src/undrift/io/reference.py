@@ -43,7 +43,7 @@ from undrift.io.column_map import (
 )
 from undrift.io.columns import RawTable, read_time
 from undrift.io.labelled import Sheet, as_utf8
-from undrift.io.mocap import Markers, Up, fit_cluster, level_from, markers_of, pose_from_cluster
+from undrift.io.mocap import Markers, Up, fit_cluster, markers_of, pose_from_cluster
 from undrift.io.parquet import read_parquet_table
 from undrift.io.text import Text, open_text, parse_text, write_rows
 from undrift.record import Reference
@@ -87,27 +87,17 @@ def find_body(markers: Markers, name: BodyName) -> Body:
     raise InputError(f"body: expected {', '.join(get_args(BodyName))}, got {name!r}. Choose one.")
 
 
-def device_on(
-    body: Body,
-    *,
-    offset_b: tuple[float, float, float] = L5_OFFSET,
-    q_bd: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0),
-) -> Reference:
-    """Return the poses of a device fixed on a body.
+def device_on(body: Body, *, offset_b: tuple[float, float, float] = L5_OFFSET) -> Reference:
+    """Return the poses of a device fixed on a body, with the axes of the body.
 
-    ``p_d = p_b + R_nb r`` and ``q_nd = q_nb q_bd``: the device's case d is at r from the body's origin, turned by q_bd.
+    ``p_d = p_b + R_nb r``: the device's case d is at r from the body's origin.
     """
-    mount = np.array(q_bd)
-    if abs(float(np.linalg.norm(mount)) - 1.0) > 1e-6:
-        raise InputError(
-            f"device: expected a unit quaternion w-x-y-z from case to body, got length {np.linalg.norm(mount):.6g}. Divide by it."
-        )
     poses = body.reference
     origin = poses.position if poses.position is not None else np.full((len(poses), 3), np.nan)
     millimetres = ", ".join(f"{1e3 * value:g}" for value in offset_b)
     return Reference(
         time=poses.time,
-        q_nb=quaternion_product(poses.q_nb, mount),
+        q_nb=poses.q_nb,
         position=origin + rotate(poses.q_nb, np.array(offset_b)),
         moving=poses.moving,
         name=f"{poses.name}, device at ({millimetres}) mm",
@@ -416,40 +406,34 @@ def of_matrices(path: Path, values: FloatArray) -> FloatArray:
     return q_nb
 
 
-# ---- poses of named bodies: OpenSim
-
-_FROM_Y_UP = np.array(_LEVELLED["y"])  # as level_from turns points
+# ---- OpenSim: poses of named bodies
 
 
-def name_of(path: Path, names: tuple[str, ...], name: str | None) -> str:
-    """Return the body to read: the only one, or the one named."""
-    if name is None and len(names) == 1:
-        return names[0]
-    if name not in names:
+def read_sto(path: Path, name: str | None = None, up: Up | None = None) -> Reference:
+    """Read one sensor of an OpenSense table: "endheader", names, then cells "w,x,y,z". The default for `up` is z."""
+    _, _, body = as_utf8(read_bytes(path)).replace(b"\r\n", b"\n").partition(b"endheader")
+    header, _, rows = body.lstrip(b" \t\n").partition(b"\n")
+    first, *names = (cell.strip() for cell in header.decode("utf-8", "replace").split("\t") if cell.strip())
+    if not names or first.lower() != "time":
+        raise FileFormatError(
+            f"{path}: expected 'time' and sensor names after endheader, got {header[:40]!r}. Check the export."
+        )
+    if name not in names and (name is not None or len(names) > 1):
         got = "none" if name is None else repr(name)
         raise InputError(
             f"{path}: expected the name of one body, got {got}. The file contains {', '.join(names)}. Choose one with `markers`.",
-            names=names,
+            names=tuple(names),
         )
-    return name
-
-
-def _table(path: Path, rows: bytes, width: int) -> FloatArray:
-    """Return rows of tab-separated numbers, (N, width)."""
-    layout, names = TextLayout(delimiter="\t", header=False), tuple(str(k) for k in range(width))
-    sheet = Sheet(path=path, names=names, layout=layout, rows=rows)
-    values = sheet.array(range(width)) if rows.strip() else np.empty((0, width))  # type: ignore[arg-type]
+    width, body_name = 1 + 4 * len(names), name or names[0]
+    layout, columns = TextLayout(delimiter="\t", header=False), tuple(map(str, range(width)))
+    sheet = Sheet(path=path, names=columns, layout=layout, rows=rows.replace(b",", b"\t"))
+    values = sheet.array(tuple(range(width))) if rows.strip() else np.empty((0, width))
     if len(values) < 2:
         raise FileFormatError(
             f"{path}: expected two frames or more, got {len(values)}. The file is truncated. Copy it again."
         )
-    return values
-
-
-def reference_of(
-    path: Path, time: FloatArray, q_nb: FloatArray, *, position: FloatArray | None = None, up: Up | None, name: str
-) -> Reference:
-    """Return poses in the level frame, lost frames as gaps, time from 0."""
+    start = 1 + 4 * names.index(body_name)
+    q_nb = values[:, start : start + 4]
     size = np.linalg.norm(q_nb, axis=1)
     valid = np.abs(size - 1.0) < NEARLY_UNIT
     if np.isfinite(size).any() and not valid.any():
@@ -459,25 +443,7 @@ def reference_of(
     q_nb = np.where(valid[:, None], q_nb / np.where(valid, size, 1.0)[:, None], np.nan)
     with naming(path):
         return Reference(
-            time=time,
-            q_nb=quaternion_product(_FROM_Y_UP, q_nb) if up == "y" else q_nb,
-            position=None if position is None else np.where(valid[:, None], level_from(position, up or "z"), np.nan),
-            name=f"{path.name} {name}".strip(),
+            time=values[:, 0],
+            q_nb=quaternion_product(np.array(_LEVELLED["y"]), q_nb) if up == "y" else q_nb,
+            name=f"{path.name} {body_name}",
         )
-
-
-# ---- OpenSim
-
-
-def read_sto(path: Path, name: str | None = None, up: Up | None = None) -> Reference:
-    """Read one sensor of an OpenSense table: "endheader", names, then cells "w,x,y,z". The default for `up` is z."""
-    _, _, body = as_utf8(read_bytes(path)).replace(b"\r\n", b"\n").partition(b"endheader")
-    header, _, rows = body.lstrip(b" \t\n").partition(b"\n")
-    names = tuple(cell.strip() for cell in header.decode("utf-8", "replace").split("\t") if cell.strip())
-    if len(names) < 2 or names[0].lower() != "time":
-        raise FileFormatError(
-            f"{path}: expected 'time' and sensor names after endheader, got {header[:40]!r}. Check the export."
-        )
-    chosen = 1 + 4 * names[1:].index(name_of(path, names[1:], name))
-    values = _table(path, rows.replace(b",", b"\t"), 4 * len(names) - 3)
-    return reference_of(path, values[:, 0], values[:, chosen : chosen + 4], up=up, name=names[1 + chosen // 4])
