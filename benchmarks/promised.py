@@ -18,7 +18,7 @@ from undrift.io.session import read_session
 from undrift.model import Calibration
 from undrift.programme import ProgrammeSettings, programme_of
 from undrift.rig.folder import RunFolder
-from undrift.rig.run import RigBench, run_programme
+from undrift.rig.run import Mounted, RigBench, run_programme
 from undrift.rig.simulated import SimulatedBench, SimulatedSettings
 from undrift.sim.device.model import DeviceModel
 from undrift.study.case import make_case, pitch_errors_deg, stream, with_cutoff
@@ -57,17 +57,9 @@ def calibrate_on_rig(name: str, device: DeviceModel, folder: Path) -> Calibratio
     bench = SimulatedBench((device,), SimulatedSettings(air=AIR, chamber=SOAK))
     with RunFolder(folder, protocol) as opened:
         chamber = bench.chamber if protocol.temperatures_c else None
-        connected = RigBench(
-            rig=bench.table, readings=bench.readings[0], mounting=bench, chamber=chamber, clock=bench.clock
-        )
-        run_programme(
-            programme,
-            connected,
-            opened,
-            report=lambda progress: None,
-            serial=device.serial,
-            gravity_m_s2=STANDARD_GRAVITY,
-        )
+        connected = RigBench(rig=bench.table, mounting=bench, chamber=chamber, clock=bench.clock)
+        mounted = Mounted(readings=bench.readings[0], folder=opened, serial=device.serial)
+        run_programme(programme, connected, mounted, report=lambda progress: None, gravity_m_s2=STANDARD_GRAVITY)
     session = read_session(folder)
     calibration = calibrate(session)
     return fit_drift((session,), calibration).calibration if protocol.temperatures_c else calibration

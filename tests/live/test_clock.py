@@ -22,7 +22,7 @@ def test_offset_and_rate_come_from_the_promptest_packets():
     for a in range(0, len(device), 100):
         clock.add(device[a : a + 100], host[a : a + 100])
     fit = clock.fit()
-    assert fit.rate_error == pytest.approx(50e-6, abs=1e-6)  # 0.1 ms at the ends of the 200 s that it rests on
+    assert 1.0 / fit.rate - 1.0 == pytest.approx(50e-6, abs=1e-6)  # 0.1 ms at the ends of the 200 s that it rests on
     assert fit.host_time(100.0) == pytest.approx(1000.0 + 100.0 / (1 + 50e-6) + 0.003, abs=2e-4)
     assert fit.device_time(fit.host_time(123.4)) == pytest.approx(123.4, abs=1e-9)
     assert 0.008 < fit.jitter_s < 0.1
@@ -117,11 +117,10 @@ def test_whole_turns_that_went_by_in_a_silence_are_told_from_the_hosts_clock():
     assert count.tolist() == [1000.0]
 
 
-def test_readings_that_come_late_or_twice_are_left_out_and_counted():
+def test_readings_that_come_late_or_twice_are_left_out():
     counter = Counter(bits=16, tick_s=0.01)
     count, kept = counter.unwrap(np.array([0, 1, 2, 2, 4, 3, 5.0]), np.full(7, 0.05))
     assert count[kept].tolist() == [0, 1, 2, 4, 5]
-    assert counter.late == 2
 
 
 @pytest.mark.parametrize("bits", [0, 32])
@@ -129,7 +128,6 @@ def test_a_device_that_starts_anew_goes_on_from_where_the_host_says(bits):
     counter = Counter(bits=bits, tick_s=0.01)
     counter.unwrap(np.arange(90_000, 90_010.0), np.linspace(0.0, 0.09, 10))
     count, kept = counter.unwrap(np.array([0.0, 1.0]), np.array([3.09, 3.10]))
-    assert counter.restarts == 1
     assert count.tolist() == [309.0, 310.0]
     assert kept.all()
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from testkit.byte_sender import Paced, Sender
-from testkit.tally import tally
 from testkit.virtual_clock import VirtualClock
 from undrift.errors import InputError, LinkError, RigTimeout
 from undrift.live.recorder import DwellReadings, Recorder, RecorderSettings
@@ -50,8 +49,8 @@ def test_minutes_at_two_kilohertz_and_ten_channels_come_without_a_loss(minutes):
                 time.sleep(0.02)
             fit = recorder.timeline.clock()
             record = recorder.between(fit.host_time(-1.0), fit.host_time((rows - 1) / 2000.0))
-            came = tally(recorder)
-    assert (came.readings, came.missing, came.garbled, came.late) == (rows, 0, 0, 0)
+            timeline, garbled = recorder.timeline, recorder.source.errors
+    assert (timeline.readings, timeline.marker.missing, garbled) == (rows, 0, 0)
     assert np.array_equal(record.gyro, values[:, :3])
     assert np.array_equal(record.accel, values[:, 3:6])
     assert np.array_equal(record.mag_ut, values[:, 6:9])
@@ -94,9 +93,8 @@ def test_drop_outs_are_rows_of_nan_in_dwells():
         begin = recorder.timeline.clock().host_time(0.0)
         record = recorder.between(begin + 0.1, begin + 0.4)
         recorder.stop()
-    came = tally(recorder)
     assert np.isnan(record.gyro[:, 0]).sum() == 3
-    assert came.missing == 3
+    assert recorder.timeline.marker.missing == 3
     assert np.diff(np.flatnonzero(np.isnan(record.gyro[:, 0]))).tolist() == [1, 1]
     assert np.diff(record.time) == pytest.approx(0.01)
 

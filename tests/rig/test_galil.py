@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from testkit.cards import BOTH, Card
-from testkit.rig_bench import mean_turn_rate
+from testkit.cards import Card
 from testkit.scripted_server import Scripted, VirtualScripted
 from testkit.virtual_clock import VirtualClock
 from undrift.errors import InputError, LimitError, LinkError, RigFault, RigTimeout
@@ -83,11 +82,6 @@ def test_a_table_left_turning_by_a_dead_program_is_stopped_on_opening():
         assert "STX" in server.heard[: server.heard.index("ER 556")]
 
 
-def test_a_rig_says_who_it_is(bench):
-    assert bench.rig.identify() == "DMC1415 Rev 1.0u"
-    assert bench.server.heard == ["\x12\x16"]
-
-
 def test_the_motor_is_switched_on_and_off_and_asked(bench):
     bench.rig.enable(True)
     bench.rig.enable(False)
@@ -131,14 +125,6 @@ def test_a_move_is_refused_while_another_runs(bench):
     with pytest.raises(RigFault, match="still moves"):
         bench.rig.turn_for(1.0, 2.0)
     assert bench.sent == []
-
-
-def test_a_measured_rate_is_the_difference_of_two_positions():
-    with Bench() as bench:
-        bench.card.spoil(BOTH, b" 0000000000  0000000000\r\n:", b" 0000000500  0000000000\r\n:")
-        took_s = 0.05 + 2e-4  # and a question on its way
-        assert mean_turn_rate(bench.rig, bench.clock, 0.05) / DEGREE == pytest.approx(500 * 0.009 / took_s, rel=1e-9)
-        assert "TV" not in "".join(bench.server.heard)
 
 
 def test_the_following_error_is_te_in_radians(bench):

@@ -8,7 +8,6 @@ from dataclasses import replace
 import pytest
 
 from testkit.cards import Board
-from testkit.rig_bench import mean_turn_rate
 from testkit.scripted_server import VirtualScripted
 from testkit.virtual_clock import VirtualClock
 from undrift.errors import InputError, LimitError, LinkError, RigFault, RigTimeout
@@ -241,10 +240,6 @@ def test_a_silent_port_is_a_timeout_and_an_axis_must_be_one():
         Bench(lambda command: None, timeout_s=0.2)
     with pytest.raises(InputError, match=r"grbl: axis .*, got 'Q'"):
         open_from("tcp://127.0.0.1:9", RigSettings(axis="Q"))
-
-
-def test_a_board_at_rest_has_no_rate(bench):
-    assert mean_turn_rate(bench.rig, bench.clock, 0.5) == 0.0
 
 
 def test_a_position_that_no_axis_can_have_reached_is_garbage(bench):

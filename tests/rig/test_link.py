@@ -131,19 +131,6 @@ def test_an_interrupted_wait_leaves_the_link_out_of_step():
             link.exchange("b")
 
 
-def test_closing_twice_is_harmless_and_leaves_no_thread():
-    before = threading.active_count()
-    with Scripted(echo) as server:
-        link = Link(server.url, LINK)
-        link.exchange("a")
-        link.close()
-        link.close()
-        assert not any(thread.name.startswith("link") for thread in threading.enumerate())
-        with pytest.raises(LinkError, match="closed"):
-            link.exchange("b")
-    assert threading.active_count() == before
-
-
 def test_nobody_there_is_a_link_error():
     with pytest.raises(LinkError, match=r"tcp://127.0.0.1:9: cannot connect .*refused"):
         Link("tcp://127.0.0.1:9", QUICK)

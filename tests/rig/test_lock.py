@@ -2,7 +2,6 @@
 
 import math
 import os
-import socket
 from contextlib import closing
 
 import pytest
@@ -10,7 +9,7 @@ import pytest
 from testkit.cards import TurningBoard, TurningCard
 from testkit.rig_bench import PROTOCOL, driven, simulated
 from undrift.cli.app import run
-from undrift.errors import LinkError, RigFault
+from undrift.errors import RigFault
 from undrift.rig.lock import one_run, place_of, stop_rig
 from undrift.rig.rig import RigSettings, open_rig
 from undrift.units import RADIAN_PER_DEGREE as DPS
@@ -84,10 +83,3 @@ def test_a_stepper_board_that_moves_is_refused():
     assert board("$J=G91G21A3600F600") == b"ok\r\n"
     with pytest.raises(RigFault, match=r"got moving"):
         check_free(board, "off")
-
-
-def test_a_table_that_does_not_answer_is_named():
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        with pytest.raises(LinkError, match=r"127\.0\.0\.1.*cannot connect"):
-            open_rig(f"galil:tcp://127.0.0.1:{taken.getsockname()[1]}?reply_timeout_s=0.2")

@@ -17,7 +17,7 @@ from undrift.record import Record
 from undrift.rig.folder import RunFolder
 from undrift.rig.manual import AskedOperator, ManualRig
 from undrift.rig.rig import Limits, RigSettings, check_programme, open_rig
-from undrift.rig.run import RigBench, run_programme
+from undrift.rig.run import Mounted, RigBench, run_programme
 from undrift.units import STANDARD_GRAVITY
 
 DEGREE = math.pi / 180.0
@@ -146,11 +146,13 @@ def by_hand(tmp_path):
 
     def run(path, *, resume=False):
         rig = ManualRig(operator, clock=clock)
-        bench = RigBench(rig=rig, readings=HeldDevice(operator), mounting=AskedOperator(operator), clock=clock)
+        bench = RigBench(rig=rig, mounting=AskedOperator(operator), clock=clock)
         with RunFolder(path, protocol, resume=resume) as folder:
-            return run_programme(
-                programme_of(protocol), bench, folder, report=lambda progress: None, gravity_m_s2=STANDARD_GRAVITY
+            mounted = Mounted(readings=HeldDevice(operator), folder=folder)
+            (result,) = run_programme(
+                programme_of(protocol), bench, mounted, report=lambda progress: None, gravity_m_s2=STANDARD_GRAVITY
             )
+        return result
 
     return protocol, operator, run
 

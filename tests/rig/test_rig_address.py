@@ -4,7 +4,7 @@ import pytest
 
 from testkit.cards import Card
 from testkit.scripted_server import Scripted
-from undrift.errors import InputError, LimitError, LinkError
+from undrift.errors import InputError, LimitError
 from undrift.rig.galil import GalilRig
 from undrift.rig.manual import ManualRig
 from undrift.rig.rig import Limits, RigSettings, open_rig, parse_address
@@ -46,11 +46,6 @@ def test_the_factory_opens_each_kind():
         assert isinstance(rig, GalilRig)
         rig.close()
     assert isinstance(open_rig("manual:", RigSettings(ask=lambda line: "")), ManualRig)
-
-
-def test_nobody_there_is_a_link_error():
-    with pytest.raises(LinkError, match="cannot connect"):
-        open_rig("grbl:tcp://127.0.0.1:9")
 
 
 @pytest.mark.parametrize("name", ["turn_rate", "acceleration", "travel"])

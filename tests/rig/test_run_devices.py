@@ -50,28 +50,25 @@ def run_two(bench, path, *, first=None, second=None, resume=False, programme=PLA
         RunFolder(path / "a", protocol, resume=resume) as own,
         RunFolder(path / "b", protocol, resume=resume) as other,
     ):
-        connected = RigBench(rig=bench.table, readings=devices[0], mounting=hands, chamber=chamber, clock=bench.clock)
-        beside = Mounted(readings=devices[1], folder=other, serial="second")
-        result = run_programme(
+        connected = RigBench(rig=bench.table, mounting=hands, chamber=chamber, clock=bench.clock)
+        results = run_programme(
             programme,
             connected,
-            own,
+            Mounted(readings=devices[0], folder=own, serial="first"),
+            Mounted(readings=devices[1], folder=other, serial="second"),
             report=lambda progress: shown.append(progress.live),
-            serial="first",
             gravity_m_s2=STANDARD_GRAVITY,
             settings=RunSettings(device_lag_s=0.0),
-            others=[beside],
         )
     assert any(live.endswith((" of first", " of second")) for live in shown), "whose readings are shown"
-    return result, hands, devices
+    return results, hands, devices
 
 
 def test_two_devices_are_read_in_the_same_dwells_each_into_its_folder(tmp_path):
     bench = simulated(devices=2)
-    result, hands, _ = run_two(bench, tmp_path)
+    (result, other), hands, _ = run_two(bench, tmp_path)
     assert at_rest(bench)
     assert hands.mounted == ["+z"]  # both at once
-    (other,) = result.others
     assert (result.added, other.added) == (len(DWELLS), len(DWELLS))
     sessions = [read_session(tmp_path / name) for name in "ab"]
     assert [session.serial for session in sessions] == ["first", "second"]
@@ -95,9 +92,8 @@ def test_a_device_that_does_not_answer_in_one_dwell_misses_it_alone_and_a_resume
     assert len(read_session(tmp_path / name).records) == 6
     before = {path.name: path.read_bytes() for path in (tmp_path / sound / "pieces").iterdir()}
     bench = simulated(devices=2)
-    result, _, _ = run_two(bench, tmp_path, resume=True)
-    added = (result.added, result.others[0].added)
-    assert added == ((1, 0) if slower == "first" else (0, 1))
+    results, _, _ = run_two(bench, tmp_path, resume=True)
+    assert tuple(result.added for result in results) == ((1, 0) if slower == "first" else (0, 1))
     assert {path.name: path.read_bytes() for path in (tmp_path / sound / "pieces").iterdir()} == before
     assert len(read_session(tmp_path / name).records) == 7
 
@@ -117,9 +113,9 @@ def test_a_device_that_is_gone_does_not_end_the_others_run_and_two_that_are_gone
 
 def test_a_rest_that_disturbs_one_device_is_taken_again_for_it_alone(tmp_path):
     bench = simulated(devices=2)
-    result, _, devices = run_two(bench, tmp_path, second={"disturbed": (7,)})
+    results, _, devices = run_two(bench, tmp_path, second={"disturbed": (7,)})
     assert [device.taken for device in devices] == [7, 8]
-    assert (result.added, result.others[0].added) == (7, 7)
+    assert [result.added for result in results] == [7, 7]
 
 
 def test_a_soak_goes_on_with_the_device_that_answers(tmp_path):

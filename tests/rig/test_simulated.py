@@ -13,7 +13,7 @@ from undrift.programme import programme_of
 from undrift.record import FACES
 from undrift.rig.folder import RunFolder
 from undrift.rig.rig import open_rig
-from undrift.rig.run import RigBench, run_programme
+from undrift.rig.run import Mounted, RigBench, run_programme
 from undrift.rig.simulated import AirSettings, SimulatedBench, SimulatedSettings
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration
@@ -26,10 +26,9 @@ WHOLE = replace(SHORT, faces=FACES, axes=("x", "y", "z"), face_s=2.0, dwell_s=2.
 def run_on(bench, path, protocol=SHORT, *, resume=False, report=lambda progress: None, **more):
     with RunFolder(path, protocol, resume=resume) as folder:
         chamber = bench.chamber if protocol.temperatures_c else None
-        connected = RigBench(
-            rig=bench.table, readings=bench.readings[0], mounting=bench, chamber=chamber, clock=bench.clock
-        )
-        return run_programme(programme_of(protocol), connected, folder, report=report, serial="made", **more)
+        connected = RigBench(rig=bench.table, mounting=bench, chamber=chamber, clock=bench.clock)
+        mounted = Mounted(readings=bench.readings[0], folder=folder, serial="made")
+        return run_programme(programme_of(protocol), connected, mounted, report=report, **more)[0]
 
 
 def at_rest(bench):

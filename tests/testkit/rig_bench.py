@@ -12,7 +12,7 @@ from undrift.rig.chamber import ChamberSetup
 from undrift.rig.folder import RunFolder
 from undrift.rig.judge import RunSettings
 from undrift.rig.rig import Limits, RigSettings, open_rig
-from undrift.rig.run import RigBench, run_programme
+from undrift.rig.run import Mounted, RigBench, run_programme
 from undrift.rig.simulated import SimulatedBench, SimulatedSettings
 from undrift.sim.device.effects import Offset, Scale, SensorChain, WhiteNoise
 from undrift.sim.device.model import DeviceModel
@@ -159,19 +159,14 @@ def run(
     """Run a protocol on a bench, with its own table or a driver. Return the result and the operator."""
     hands = hands or Hands(bench)
     with RunFolder(path, protocol, resume=resume) as folder:
-        connected = RigBench(
-            rig=rig() if rig else bench.table,
-            readings=readings(bench),
-            mounting=hands,
-            chamber=chamber,
-            clock=bench.clock,
-        )
-        result = run_programme(
+        table = rig() if rig else bench.table
+        connected = RigBench(rig=table, mounting=hands, chamber=chamber, clock=bench.clock)
+        mounted = Mounted(readings=readings(bench), folder=folder, serial="made")
+        (result,) = run_programme(
             programme_of(protocol),
             connected,
-            folder,
+            mounted,
             report=report,
-            serial="made",
             gravity_m_s2=STANDARD_GRAVITY,
             settings=giving_up,
         )

@@ -20,7 +20,7 @@ from undrift.plugins import split_address
 from undrift.programme import Programme, ProgrammeSettings, Soak, forecast_of, programme_of, read_protocol
 from undrift.report import Estimate, Report, Table
 from undrift.report.figures import draw_rig_run
-from undrift.rig.chamber import ChamberSetup, Readings, open_chamber
+from undrift.rig.chamber import ChamberSetup, open_chamber
 from undrift.rig.check import CheckSettings, check_rig
 from undrift.rig.folder import RecordedDwell, RunFolder
 from undrift.rig.judge import RunSettings
@@ -140,18 +140,18 @@ def run(
         display.plan(programme, done, yes)
         stack.enter_context(stopping_on_signals())
         if simulated is None:
-            first, *others = (_connect(stack, *pair, programme) for pair in zip(paths, folders, strict=True))
-            bench = _bench(stack, first.readings, (rig, chamber), settings, display, programme, resume=resume)
+            devices = [_connect(stack, *pair, programme) for pair in zip(paths, folders, strict=True)]
+            bench = _bench(stack, (rig, chamber), settings, display, programme, resume=resume)
         else:
-            bench, (first, *others) = _parts_of_simulated_bench(simulated, folders, with_chamber=chamber is not None)
-        first.serial = serial or first.serial
-        how: dict[str, Any] = {"serial": first.serial, "gravity_m_s2": gravity_m_s2, "settings": judge}
-        result = run_programme(programme, bench, first.folder, report=display, others=others, **how)
-    return run_report(first.folder.path, result, tuple(paths.values())[1:])
+            bench, devices = _parts_of_simulated_bench(simulated, folders, with_chamber=chamber is not None)
+        devices[0].serial = serial or devices[0].serial
+        results = run_programme(programme, bench, *devices, report=display, gravity_m_s2=gravity_m_s2, settings=judge)
+    return run_report(dict(zip(paths.values(), results, strict=True)))
 
 
-def run_report(folder: Path, result: RunResult, others: tuple[Path, ...]) -> Report:
-    """Return the number of dwells, and the largest difference of achieved rates from nominal rates."""
+def run_report(results: dict[Path, RunResult]) -> Report:
+    """Return the number of dwells, and the largest difference of achieved rates from nominal rates, by folder of a device."""
+    (folder, result), *others = results.items()
     turns = [piece for piece in result.pieces if piece.purpose == "rate"]
     difference = max((abs(turn.turn_rate - turn.nominal_turn_rate) for turn in turns), default=0.0)
     missing = sum(piece.missing for piece in result.pieces)
@@ -160,12 +160,11 @@ def run_report(folder: Path, result: RunResult, others: tuple[Path, ...]) -> Rep
         f"Achieved rates differ from nominal rates by up to {difference / RADIAN_PER_DEGREE:.3g} deg/s. "
         f"{missing} readings are missing."
     )
-    runs = list(zip(others, result.others, strict=True))
     tables = [
         Table(title="Dwells", columns=DWELL_COLUMNS, rows=[_dwell_row(piece) for piece in result.pieces], form=".2f")
     ]
-    if runs:
-        rows = [(str(path), len(run.pieces)) for path, run in runs]
+    if others:
+        rows = [(str(path), len(other.pieces)) for path, other in others]
         tables.append(Table(title="Other devices on the table", columns=("folder", "dwells"), rows=rows))
     return Report(
         title=f"Rig run: {folder.name}, on {result.rig}",
@@ -173,7 +172,7 @@ def run_report(folder: Path, result: RunResult, others: tuple[Path, ...]) -> Rep
         tables=tables[1:],
         details=tables[:1],
         figures=[lambda: draw_rig_run(turns)] if turns else [],
-        written=[path / "session.toml" for path in (folder, *others)],
+        written=[path / "session.toml" for path in results],
         data={
             "rig": result.rig,
             "dwells": len(result.pieces),
@@ -246,13 +245,7 @@ def _parts_of_simulated_bench(
     """Return the parts of a simulated bench for a run, and its devices with their folders."""
 
     chamber = bench_parts.chamber if with_chamber else None
-    bench = RigBench(
-        rig=bench_parts.table,
-        readings=bench_parts.readings[0],
-        mounting=bench_parts,
-        chamber=chamber,
-        clock=bench_parts.clock,
-    )
+    bench = RigBench(rig=bench_parts.table, mounting=bench_parts, chamber=chamber, clock=bench_parts.clock)
     rows = zip(bench_parts.devices, bench_parts.readings, folders, strict=True)
     return bench, [
         Mounted(readings=readings, folder=folder, serial=model.model.serial) for model, readings, folder in rows
@@ -272,7 +265,6 @@ def _connect(stack: ExitStack, address: str, folder: RunFolder, programme: Progr
 
 def _bench(
     stack: ExitStack,
-    readings: Readings,
     addresses: tuple[str, str | None],
     settings: RigSettings,
     display: "_Display",
@@ -294,7 +286,7 @@ def _bench(
     # a run that was killed leaves its motor on
     table = open_rig(rig, replace(settings, accept="on" if resume else "off"))
     stack.callback(table.close)
-    return RigBench(rig=table, readings=readings, mounting=mounting, chamber=oven, clock=clock)
+    return RigBench(rig=table, mounting=mounting, chamber=oven, clock=clock)
 
 
 class _Display:

@@ -31,7 +31,6 @@ class ClockLine:
     device_zero: float  # device time of a point on the line, s
     host_zero: float  # host time of that point, s
     rate: float  # host seconds per device second
-    rate_error: float  # relative error of the device's clock (positive if it runs fast)
     # 95 % quantile of the delay relative to the promptest packet, without a backlog, host s
     jitter_s: float
     settled: bool  # False while a backlog drains, or with too few packets
@@ -100,7 +99,6 @@ class DeviceClock:
             device_zero=self._zero[0],
             host_zero=self._zero[1] + offset,
             rate=slope,
-            rate_error=self._nominal / slope - 1.0,
             jitter_s=float(np.quantile(y - offset - slope * x, 0.95)),
             settled=len(y) > SETTLED_PACKETS and bool(y[-1] - self._prompt[1] >= SETTLED_S),
         )

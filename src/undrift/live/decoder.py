@@ -187,8 +187,6 @@ class Counter:
         self._speed = clock_speed
         self._raw = self._host = self._total = 0.0
         self._begun = False
-        self.late = 0
-        self.restarts = 0
 
     def unwrap(self, raw: FloatArray, host_time: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Return increasing counts (N,), and True for each valid reading (N,), from raw (N,) and host_time (N,), s."""
@@ -205,11 +203,9 @@ class Counter:
             step = (step + self._modulus / 2.0) % self._modulus - self._modulus / 2.0
             step += max(round((expected - step) / self._modulus), 0) * self._modulus
         if step <= 0.0 and -step * self._tick < RESTART_S:
-            self.late += 1
             return self._total, False
         slack = RESTART_S * max(self._speed, 1.0) / self._tick + 0.1 * abs(expected)
         if abs(step - expected) > slack:
-            self.restarts += 1
             step = max(round(expected), 1.0)
         self._raw, self._host, self._total = raw, host, self._total + step
         return self._total, True

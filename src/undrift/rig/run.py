@@ -11,7 +11,7 @@ that fails in a dwell misses that dwell. If all devices fail, the run ends.
 import logging
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -47,10 +47,9 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RigBench:
-    """Equipment of a run. The run closes the rig but nothing else."""
+    """Equipment of a run, without its devices. The run closes the rig but nothing else."""
 
     rig: Rig  # open rig
-    readings: Readings  # readings of the device
     mounting: Operator  # operator who mounts the device
     chamber: Chamber | None = None  # required if the programme contains soaks
     clock: Clock = field(default_factory=Clock)  # clock of the rig
@@ -99,13 +98,12 @@ class Progress:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunResult:
-    """Result of a run."""
+    """Result of a run for a device."""
 
     pieces: tuple[RecordedDwell, ...]  # all dwells on the disk
     added: int  # number of dwells that this run added
     duration_s: float  # duration of this run, table s
     rig: str  # identity that the rig reports
-    others: tuple["RunResult", ...] = ()  # results of the other devices on the table
 
 
 Done = TypeVar("Done")
@@ -115,16 +113,12 @@ Report = Callable[[Progress], None]
 def run_programme(
     programme: Programme,
     bench: RigBench,
-    folder: RunFolder,
-    *,
+    *devices: Mounted,
     report: Report,
-    serial: str = "",
     gravity_m_s2: float | None = None,
     settings: RunSettings = RunSettings(),
-    others: Sequence[Mounted] = (),
-) -> RunResult:
-    """Run all dwells that are not on the disk yet. Each further device in `others` has its own folder."""
-    devices = (Mounted(readings=bench.readings, folder=folder, serial=serial), *others)
+) -> tuple[RunResult, ...]:
+    """Run all dwells that are not on the disk yet, and return a result for each device."""
     run = _Run(programme, bench, devices, report, settings)
     before = [len(device.folder.done) for device in devices]
     try:
@@ -150,7 +144,7 @@ def run_programme(
     run.close(None)
     for device in devices:
         _check_whole(programme, device)
-    first, *further = (
+    return tuple(
         RunResult(
             pieces=device.folder.pieces,
             added=len(device.folder.done) - count,
@@ -159,7 +153,6 @@ def run_programme(
         )
         for device, count in zip(devices, before, strict=True)
     )
-    return replace(first, others=tuple(further))
 
 
 def _check_whole(programme: Programme, device: Mounted) -> None:

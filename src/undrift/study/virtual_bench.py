@@ -26,7 +26,7 @@ from undrift.record import FACES, Record, Reference, Session
 from undrift.rig.chamber import ChamberSetup
 from undrift.rig.folder import RunFolder
 from undrift.rig.lock import stopping_on_signals
-from undrift.rig.run import Progress, RigBench, RunResult, run_programme
+from undrift.rig.run import Mounted, Progress, RigBench, RunResult, run_programme
 from undrift.rig.simulated import AirSettings, SimulatedBench, SimulatedSettings
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device
@@ -120,11 +120,10 @@ def _record(plan: BenchPlan, which: int, bench: SimulatedBench, path: Path, tell
 
     with RunFolder(path / protocol.name, protocol) as folder:
         chamber = bench.chamber if protocol.temperatures_c else None
-        connected = RigBench(
-            rig=bench.table, readings=bench.readings[0], mounting=bench, chamber=chamber, clock=bench.clock
-        )
-        serial = bench.devices[0].model.serial
-        return run_programme(programme, connected, folder, report=report, serial=serial, gravity_m_s2=STANDARD_GRAVITY)
+        connected = RigBench(rig=bench.table, mounting=bench, chamber=chamber, clock=bench.clock)
+        mounted = Mounted(readings=bench.readings[0], folder=folder, serial=bench.devices[0].model.serial)
+        (result,) = run_programme(programme, connected, mounted, report=report, gravity_m_s2=STANDARD_GRAVITY)
+    return result
 
 
 # ---- fits and the worn trial
