@@ -14,9 +14,9 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import InputError, RigTimeout
-from undrift.io.guess import propose
-from undrift.io.labelled import label_of, sheet_of
-from undrift.io.log import LineReader, LogLine, cycle_of, find_readings, lines_of, log_text, readings_in
+from undrift.io.guess import MapProposal, propose
+from undrift.io.labelled import Label, label_of, sheet_of
+from undrift.io.log import LineReader, LogLine, SerialLog, cycle_of, find_readings, lines_of, log_text, readings_in
 from undrift.live.clock import DeviceClock
 from undrift.live.decoder import COUNTER, IGNORED, Decoder, StreamDescription
 from undrift.live.transports import GROUP, POLL_S, SOURCES, ByteSource, SerialPort, source_at
@@ -119,61 +119,75 @@ def listen(source: ByteSource) -> Pieces:
 
 def description_of(pieces: Pieces, name: str, given_options: dict[str, str]) -> tuple[dict[str, str], tuple[str, ...]]:
     """Return the options of an address for the bytes from a device, and notes on proposed units and times."""
-    content = b"".join(data for _, data in pieces)
-    lines = [line.strip()[:60] for line in content.decode("utf-8", "replace").split("\n")[:-1]]
-    sheet, log = sheet_of(Path(name), content), find_readings(content.partition(b"\n")[2])  # the first may be torn
-    if log is not None and log.plain and sheet is not None and any(sheet.names) and len(sheet.names) == len(log.names):
-        log = replace(log, names=sheet.names)
-    if log is None or len(log.names) < 3 or log.names[-1].isdecimal():
-        raise InputError(
-            f"{name}: expected lines of numbers with names, got '{next(filter(None, lines[::-1]), '')}'. {DESCRIBE}"
-        )
-    first = " ".join(cycle_of([*lines_of(content.partition(b"\n")[2])])[0][:2]).strip()
-    decoder = LogDecoder(replace(ANY, channels=(*ANY.channels, *[IGNORED] * (len(log.names) - 3)), separator=first))
-    rows = [decoder.feed(data) for _, data in pieces]
-    values, arrival_s = (
-        np.concatenate(rows),
-        np.repeat([arrived for arrived, _ in pieces], [len(block) for block in rows]),
-    )
+    log, first_words, last_line = _log_of(pieces, name)
+    channels = [IGNORED] * len(log.names)
+    values, arrival_s = _readings_of(pieces, first_words, len(channels))
     proposal = propose(log.names, log_text(Path(name), log), ())  # as for a file
-    columns_of = {
-        channel: [
-            log.names.index(column) for column in (entry if isinstance(entry, list) else [entry]) if column in log.names
-        ]
-        for channel, entry in proposal.columns.items()
-    }
-    units = dict(proposal.units)
     labels = [label_of(column) for column in log.names]
-    for channel in {"mag", "temp"} - columns_of.keys():
-        columns = [k for k, label in enumerate(labels) if label and label.unit and label.channel == channel]
-        columns_of |= {channel: columns} if len(columns) == {"mag": 3, "temp": 1}[channel] else {}
+    columns_of = _columns_of(proposal, log.names, labels)
     triads = [columns_of[triad] for triad in ("gyro", "accel") if triad in columns_of]
     if not len(values) or not triads or any(len(columns) != 3 for columns in triads):
-        raise InputError(f"{name}: expected readings of three axes, got '{lines[-1]}'. {DESCRIBE}")
-    channels, stream_options = [IGNORED] * len(log.names), {"format": "log", "separator": first}
+        raise InputError(f"{name}: expected readings of three axes, got '{last_line}'. {DESCRIBE}")
+
+    options, units = {"format": "log", "separator": first_words}, dict[str, str]()
     for channel, columns in columns_of.items():
         label = labels[columns[0]]
-        units[channel] = given_options.get(f"{channel}_unit") or (
-            label.unit if label and label.unit else units[channel]
-        )
+        unit = label.unit if label and label.unit else proposal.units[channel]
+        units[channel] = given_options.get(f"{channel}_unit", unit)
         if channel in ("gyro", "accel"):
             if units[channel] == "?":
                 raise InputError(
-                    f"{name}: the unit of its {channel} readings is unknown, got '{lines[-1]}'. Set it in the address: "
+                    f"{name}: the unit of its {channel} readings is unknown, got '{last_line}'. Set it in the address: "
                     f"{name}?{channel}_unit={'dps' if channel == 'gyro' else 'g'}, or save its lines with a terminal program"
                 )
-            stream_options |= {
-                f"{channel}_unit": units[channel],
-                f"{channel}_gain": f"{label.gain if label else 1.0:g}",
-            }
+            options[f"{channel}_unit"] = units[channel]
+            options[f"{channel}_gain"] = f"{label.gain if label else 1.0:g}"
         if channel != "temp" or units[channel].lower() == "degc":
             for k, axis in zip(columns, ("_x", "_y", "_z") if len(columns) == 3 else ("",), strict=True):
                 channels[k] = f"{channel}{axis}"
     clock, notes = _clock_of(values, arrival_s, channels, TICKS.get(units.get("time", ""), 0.0))
-    reason = "; ".join(f"{channel} by {why}" for channel, why in proposal.reasons.items())
-    proposed = ", ".join(f"{channel} in {unit}" for channel, unit in units.items() if channel in proposal.reasons)
-    notes += (f"the names do not contain the units, so these are proposed: {proposed} ({reason})",) if reason else ()
-    return stream_options | clock | {"channels": ",".join(channels)}, notes
+    if proposal.reasons:
+        proposed = ", ".join(f"{channel} in {units[channel]}" for channel in units if channel in proposal.reasons)
+        reason = "; ".join(f"{channel} by {why}" for channel, why in proposal.reasons.items())
+        notes += (f"the names do not contain the units, so these are proposed: {proposed} ({reason})",)
+    return options | clock | {"channels": ",".join(channels)}, notes
+
+
+def _log_of(pieces: Pieces, name: str) -> tuple[SerialLog, str, str]:
+    """Return the readings in the bytes from a device, the words before the first number of a reading, and the last line."""
+    content = b"".join(data for _, data in pieces)
+    whole_lines = content.partition(b"\n")[2]  # the first line may be torn
+    lines = [line.strip()[:60] for line in content.decode("utf-8", "replace").split("\n")[:-1]]
+    last_line = next(filter(None, reversed(lines)), "")
+    log, sheet = find_readings(whole_lines), sheet_of(Path(name), content)
+    if log is not None and log.plain and sheet is not None and any(sheet.names) and len(sheet.names) == len(log.names):
+        log = replace(log, names=sheet.names)  # from a header
+    if log is None or len(log.names) < 3 or log.names[-1].isdecimal():
+        raise InputError(f"{name}: expected lines of numbers with names, got '{last_line}'. {DESCRIBE}")
+    first_shape = cycle_of([*lines_of(whole_lines)])[0]
+    return log, " ".join(first_shape[:2]).strip(), last_line
+
+
+def _readings_of(pieces: Pieces, first_words: str, count: int) -> tuple[FloatArray, FloatArray]:
+    """Return the readings (N, count) in the bytes, and their times of arrival (N,), host s."""
+    unused = (IGNORED,) * (count - len(ANY.channels))
+    decoder = LogDecoder(replace(ANY, channels=(*ANY.channels, *unused), separator=first_words))
+    blocks = [decoder.feed(data) for _, data in pieces]
+    arrival_s = np.repeat([arrived for arrived, _ in pieces], [len(block) for block in blocks])
+    return np.concatenate(blocks), arrival_s
+
+
+def _columns_of(proposal: MapProposal, names: Sequence[str], labels: Sequence[Label | None]) -> dict[str, list[int]]:
+    """Return the columns of each channel: the proposed ones, and a magnetometer or thermometer whose names contain its unit."""
+    columns_of = dict[str, list[int]]()
+    for channel, entry in proposal.columns.items():
+        listed = entry if isinstance(entry, list) else [entry]
+        columns_of[channel] = [names.index(column) for column in listed if column in names]
+    for channel, count in (("mag", 3), ("temp", 1)):
+        columns = [k for k, label in enumerate(labels) if label and label.unit and label.channel == channel]
+        if channel not in columns_of and len(columns) == count:
+            columns_of[channel] = columns
+    return columns_of
 
 
 def _clock_of(
