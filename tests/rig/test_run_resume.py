@@ -71,7 +71,7 @@ def test_kill_9_loses_nothing_and_a_resume_completes(tmp_path, protocol, wanted)
         kept = now
         kills += [len(kept)] * (code != 0)
         if code == 0:
-            assert json.loads(out)["dwells"] == DWELLS == len(kept)
+            assert json.loads(out)["data"]["dwells"] == DWELLS == len(kept)
             assert_true(read_session(path))
             path, kept = path.with_name(f"{path.name}-again"), {}
             if killed_at is None:
