@@ -281,30 +281,6 @@ class Programme:
         return sum(step.duration_s for step in self.steps)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Forecast:
-    """Remaining part of a programme."""
-
-    dwells: int
-    mountings: int
-    rig_s: float  # duration of the dwells, s
-    total_s: float  # duration with mountings and soaks, s
-    turn_rate: float  # largest rate, rad/s
-
-
-def forecast_of(programme: Programme, done: frozenset[int] = frozenset()) -> Forecast:
-    """Return number and duration of the remaining steps."""
-    pending = [step for number, step in enumerate(programme.steps) if number not in done]
-    dwells = [step for step in pending if isinstance(step, Dwell)]
-    return Forecast(
-        dwells=len(dwells),
-        mountings=sum(isinstance(step, Mount) for step in pending),
-        rig_s=sum(dwell.duration_s for dwell in dwells),
-        total_s=sum(step.duration_s for step in pending),
-        turn_rate=max((abs(dwell.turn_rate) for dwell in dwells), default=0.0),
-    )
-
-
 def programme_of(protocol: Protocol, settings: ProgrammeSettings = ProgrammeSettings()) -> Programme:
     """Return the programme of a protocol, step by step."""
     turning = tuple(dict.fromkeys(protocol.axes)) if protocol.turn_rate_step > 0.0 else ()

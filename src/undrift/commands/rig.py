@@ -17,7 +17,7 @@ from undrift.errors import InputError
 from undrift.live.recorder import DwellReadings, Recorder, RecorderSettings
 from undrift.live.transports import source_at
 from undrift.plugins import split_address
-from undrift.programme import Programme, ProgrammeSettings, Soak, forecast_of, programme_of, read_protocol
+from undrift.programme import Dwell, Mount, Programme, ProgrammeSettings, Soak, programme_of, read_protocol
 from undrift.report import Estimate, Report, Table
 from undrift.report.figures import draw_rig_run
 from undrift.rig.chamber import ChamberSetup, open_chamber
@@ -299,13 +299,15 @@ class _Display:
     def plan(self, programme: Programme, done: frozenset[int], yes: bool) -> None:
         """Show how long each step and the whole takes, and ask whether to start."""
 
-        remaining = forecast_of(programme, done)
+        pending = [step for number, step in enumerate(programme.steps) if number not in done]
+        dwells = [step for step in pending if isinstance(step, Dwell)]
+        mountings = sum(isinstance(step, Mount) for step in pending)
         steps = ((number, step) for number, step in enumerate(programme.steps) if number not in done)
         self._screen.say(
             *(f"{number:5d}  {_clock(step.duration_s)}  {step}" for number, step in steps),
-            f"{remaining.dwells} dwells, {_clock(remaining.rig_s)} of rig time. With {remaining.mountings} "
+            f"{len(dwells)} dwells, {_clock(sum(dwell.duration_s for dwell in dwells))} of rig time. With {mountings} "
             f"mountings and the chamber about "
-            f"{_clock(remaining.total_s)}",
+            f"{_clock(sum(step.duration_s for step in pending))}",
             *([f"{len(done)} dwells are on the disk already"] if done else []),
         )
         with suppress(EOFError):
