@@ -7,7 +7,7 @@ import pytest
 
 from testkit.data import show
 from undrift.errors import InputError, RigFault, RigTimeout
-from undrift.rig.judge import RunSettings, check_delays, check_rate
+from undrift.rig.judge import check_delays, check_rate
 from undrift.rig.rig import Position, achieved_turn_rate
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
@@ -27,7 +27,7 @@ def test_an_axis_that_stands_still_for_a_part_of_a_dwell_is_refused(turn_rate, b
     stood = np.clip(times - begin * seconds, 0.0, part * seconds)
 
     def judged(moving_s):
-        check_rate(achieved_turn_rate(positions(rate * moving_s, times, 0.002)), rate, RunSettings(), "step 1")
+        check_rate(achieved_turn_rate(positions(rate * moving_s, times, 0.002)), rate, "step 1")
 
     judged(times)
     with pytest.raises(RigFault, match=r"rig: expected (a steady turn|.* rad/s) within .*in step 1, got"):
@@ -38,7 +38,7 @@ def test_a_stop_that_the_mean_rate_makes_up_for_is_off_the_straight_line():
     times = np.linspace(0.0, 6.0, 61)
     angles = times + 0.05 * np.sin(2.0 * np.pi * times / 3.0)
     with pytest.raises(RigFault, match=r"steady turn within 0.05 deg in step 1, got"):
-        check_rate(achieved_turn_rate(positions(angles, times, 0.0005)), 1.0, RunSettings(), "step 1")
+        check_rate(achieved_turn_rate(positions(angles, times, 0.0005)), 1.0, "step 1")
 
 
 def test_quick_answers_count_more_in_the_achieved_rate():
@@ -57,7 +57,7 @@ def test_a_link_whose_delays_could_hide_a_tenth_of_the_rate_is_not_believed(with
     times = np.linspace(0.0, 1.0, 21)
     achieved = achieved_turn_rate(positions(times, times, within_s))
     with pytest.raises(RigTimeout, match="must be known to 10%") if hidden else contextlib.nullcontext():
-        check_delays(achieved, -1.0, RunSettings(), "step 1")
+        check_delays(achieved, -1.0, "step 1")
 
 
 @pytest.mark.slow

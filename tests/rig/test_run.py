@@ -10,7 +10,8 @@ from testkit.rig_bench import GAIN, SHORT, Device, Oven, at_rest, driven, gain_o
 from undrift.errors import InputError, RigFault, RigTimeout
 from undrift.io.session import read_session
 from undrift.programme import Protocol
-from undrift.rig.judge import RunSettings
+from undrift.rig import judge
+from undrift.rig import run as run_file
 from undrift.rig.manual import AskedOperator
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
@@ -89,6 +90,7 @@ def test_temperatures_without_a_chamber_and_unsafe_rates_move_nothing(tmp_path):
 
 def test_a_chamber_that_never_soaks_ends_in_time_and_at_rest(tmp_path, monkeypatch):
     monkeypatch.setattr(Oven, "soaked", lambda self: False)
+    monkeypatch.setattr(run_file, "SOAK_TIMEOUT_S", 5.0)
     bench = simulated()
     with pytest.raises(RigTimeout, match=r"not steady at 30 degC within 0.1 K/min after 5 s, got 30.00 degC"):
         run(
@@ -96,7 +98,6 @@ def test_a_chamber_that_never_soaks_ends_in_time_and_at_rest(tmp_path, monkeypat
             tmp_path,
             replace(SHORT, temperatures_c=(30.0,)),
             chamber=Oven(),
-            giving_up=RunSettings(soak_timeout_s=5.0),
         )
     assert at_rest(bench)
 
@@ -110,12 +111,15 @@ def test_hands_that_give_up_or_are_not_there_are_a_fault():
             AskedOperator(ask).mount("+x")
 
 
-def test_a_rate_that_is_not_held_and_a_device_that_says_too_little_end_the_run(tmp_path):
+def test_a_rate_that_is_not_held_and_a_device_that_says_too_little_end_the_run(tmp_path, monkeypatch):
     bench = simulated()
-    with pytest.raises(RigFault, match=r"rad/s within .* in step 3 .*its amplifier"):
-        run(bench, tmp_path / "a", giving_up=RunSettings(turn_rate_tolerance=-1.0))
+    with monkeypatch.context() as strict:
+        strict.setattr(judge, "TURN_RATE_TOLERANCE", -1.0)
+        with pytest.raises(RigFault, match=r"rad/s within .* in step 3 .*its amplifier"):
+            run(bench, tmp_path / "a")
+    monkeypatch.setattr(judge, "LEAST_PART", 99.0)
     with pytest.raises(RigTimeout, match=r"at least 9900% of .* readings in step 1"):
-        run(bench, tmp_path / "b", giving_up=RunSettings(least_part=99.0))
+        run(bench, tmp_path / "b")
     assert at_rest(bench)
 
 
@@ -164,14 +168,14 @@ def test_a_device_without_a_thermometer_is_given_five_of_its_stated_time_constan
         tmp_path,
         HEATED,
         chamber=Oven(),
-        giving_up=RunSettings(device_lag_s=20.0),
+        device_lag_s=20.0,
         report=lambda progress: said.append((progress.phase, bench.now() - begun)),
     )
     assert next(at for phase, at in said if phase == "settling") > 100.0
     assert read_session(tmp_path).stills[0].temp_c == 40.0
     assert read_session(tmp_path).kind == "calibration"  # one temperature makes no tables
     with pytest.raises(InputError, match=r"device lag .*got -1.0"):
-        RunSettings(device_lag_s=-1.0)
+        run(bench, tmp_path / "negative", HEATED, chamber=Oven(), device_lag_s=-1.0)
 
 
 def test_a_door_that_opens_while_the_table_dwells_ends_the_run_at_rest(tmp_path):

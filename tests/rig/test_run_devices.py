@@ -10,7 +10,6 @@ from undrift.errors import LinkError, RigTimeout
 from undrift.io.session import read_session
 from undrift.programme import Dwell, programme_of
 from undrift.rig.folder import RunFolder
-from undrift.rig.judge import RunSettings
 from undrift.rig.run import Mounted, RigBench, run_programme
 from undrift.units import STANDARD_GRAVITY
 
@@ -58,7 +57,7 @@ def run_two(bench, path, *, first=None, second=None, resume=False, programme=PLA
             Mounted(readings=devices[1], folder=other, serial="second"),
             report=lambda progress: shown.append(progress.live),
             gravity_m_s2=STANDARD_GRAVITY,
-            settings=RunSettings(device_lag_s=0.0),
+            device_lag_s=0.0,
         )
     assert any(live.endswith((" of first", " of second")) for live in shown), "whose readings are shown"
     return results, hands, devices

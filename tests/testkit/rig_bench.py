@@ -10,7 +10,6 @@ from testkit.virtual_clock import VirtualClock
 from undrift.programme import Protocol, programme_of
 from undrift.rig.chamber import ChamberSetup
 from undrift.rig.folder import RunFolder
-from undrift.rig.judge import RunSettings
 from undrift.rig.rig import Limits, RigSettings, open_rig
 from undrift.rig.run import Mounted, RigBench, run_programme
 from undrift.rig.simulated import SimulatedBench, SimulatedSettings
@@ -151,7 +150,7 @@ def run(
     resume=False,
     report=lambda progress: None,
     chamber=None,
-    giving_up=RunSettings(device_lag_s=0.0),
+    device_lag_s=0.0,
     readings=Device,
     hands=None,
     rig=None,
@@ -168,7 +167,7 @@ def run(
             mounted,
             report=report,
             gravity_m_s2=STANDARD_GRAVITY,
-            settings=giving_up,
+            device_lag_s=device_lag_s,
         )
     return result, hands
 

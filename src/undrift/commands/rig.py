@@ -23,7 +23,6 @@ from undrift.report.figures import draw_rig_run
 from undrift.rig.chamber import ChamberSetup, open_chamber
 from undrift.rig.check import CheckSettings, check_rig
 from undrift.rig.folder import RecordedDwell, RunFolder
-from undrift.rig.judge import RunSettings
 from undrift.rig.lock import one_run, stop_rig, stopping_on_signals
 from undrift.rig.manual import AskedOperator
 from undrift.rig.rig import Limits, RigSettings, check_programme, open_rig, parse_address
@@ -120,7 +119,7 @@ def run(
         read_protocol(protocol),
         shaft.settings(highest_turn_rate_dps, highest_acceleration_dps2),
     )
-    display, judge = _Display(), RunSettings(device_lag_s=device_lag_s)
+    display = _Display()
     kind, _, options = parse_address(rig, replace(settings, ask=display.ask))
     settings, limits, by_hand = (
         replace(settings, ask=display.ask, clock=options.clock),
@@ -145,7 +144,9 @@ def run(
         else:
             bench, devices = _parts_of_simulated_bench(simulated, folders, with_chamber=chamber is not None)
         devices[0].serial = serial or devices[0].serial
-        results = run_programme(programme, bench, *devices, report=display, gravity_m_s2=gravity_m_s2, settings=judge)
+        results = run_programme(
+            programme, bench, *devices, report=display, gravity_m_s2=gravity_m_s2, device_lag_s=device_lag_s
+        )
     return run_report(dict(zip(paths.values(), results, strict=True)))
 
 

@@ -1,13 +1,13 @@
 """Accept or reject a dwell: steady turn, complete readings, device at rest if it should be, steady temperature of air and board.
 
 Let w be the turn rate, T the dwell and d the time uncertainty of a position (the link's delay, or a tick). With a =
-angle_tolerance, a dwell is accepted if
+ANGLE_TOLERANCE, a dwell is accepted if
 
-    |slope - w|           <= tolerance |w| + (a + 2 |w| d) / T
-    |between ends - w|    <= tolerance |w| + 2 (a + |w| d) / T
+    |slope - w|           <= TURN_RATE_TOLERANCE |w| + (a + 2 |w| d) / T
+    |between ends - w|    <= TURN_RATE_TOLERANCE |w| + 2 (a + |w| d) / T
     misfit                <= a                                    no stop and no jump (rig/rig.py)
-    2 d / T               <= link_tolerance, if w is not 0        otherwise the delays hide the motion, and the dwell is repeated
-    finite readings, air and board: at least least_part of them, and steady (check_readings, check_board, _look_at_air)
+    2 d / T               <= LINK_TOLERANCE, if w is not 0        otherwise the delays hide the motion, and the dwell is repeated
+    finite readings, air and board: at least LEAST_PART of them, and steady (check_readings, check_board)
 
 A rest is repeated if the table was pushed or the wrong face was mounted (`Disturbed`). Let s be the spread of a channel in the
 first rests of this rig, and f the mean specific force of a face.
@@ -19,12 +19,10 @@ first rests of this rig, and f the mean specific force of a face.
 In counts, an earlier face may be the one that was mounted wrongly. The message names that face.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.errors import InputError, RigFault, RigTimeout
+from undrift.errors import RigFault, RigTimeout
 from undrift.programme import Dwell
 from undrift.record import Face, Record
 from undrift.rig.rig import Achieved
@@ -32,43 +30,28 @@ from undrift.units import RADIAN_PER_DEGREE, is_physical
 
 PARTS = 8  # number of parts of a dwell
 COARSEST_C = 1.0  # largest resolution step of a thermometer, K (a larger step is a jump)
+TURN_RATE_TOLERANCE = 0.03  # relative tolerance of the achieved rate, 1
+# additional tolerance of a few counts over a dwell, also the largest deviation from a steady turn, rad
+ANGLE_TOLERANCE = 0.05 * RADIAN_PER_DEGREE
+LINK_TOLERANCE = 0.1  # largest fraction of a rate that the link's delays may hide, 1
+LEAST_PART = 0.8  # smallest fraction of a dwell's readings that must arrive, 1
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RunSettings:
-    """Tolerances and timeouts of a run."""
-
-    turn_rate_tolerance: float = 0.03  # relative tolerance of the achieved rate, 1
-    # additional tolerance of a few counts over a dwell, also the largest deviation from a steady turn, rad
-    angle_tolerance: float = 0.05 * RADIAN_PER_DEGREE
-    link_tolerance: float = 0.1  # largest fraction of a rate that the link's delays may hide, 1
-    least_part: float = 0.8  # smallest fraction of a dwell's readings that must arrive, 1
-    soak_timeout_s: float = 6.0 * 3600.0  # longest soak, table s
-    # time constant of a device without thermometer behind the air, s (a soak waits for five of them)
-    device_lag_s: float = 120.0
-
-    def __post_init__(self) -> None:
-        if not self.device_lag_s >= 0.0:
-            raise InputError(
-                f"run: device lag must be 0 s or more, got {self.device_lag_s}. Set the time constant of the device."
-            )
-
-
-def check_delays(achieved: Achieved, late_s: float, settings: RunSettings, where: str) -> None:
+def check_delays(achieved: Achieved, late_s: float, where: str) -> None:
     """Raise RigTimeout if the delays of the positions hide the turn rate, or if the dwell ended after the steady turn."""
-    if late_s > 0.0 or 2.0 * achieved.delay_s > settings.link_tolerance * achieved.span_s:
+    if late_s > 0.0 or 2.0 * achieved.delay_s > LINK_TOLERANCE * achieved.span_s:
         raise RigTimeout(
-            f"rig: times of positions must be known to {settings.link_tolerance:.0%} of the dwell in {where}, got delays of "
+            f"rig: times of positions must be known to {LINK_TOLERANCE:.0%} of the dwell in {where}, got delays of "
             f"{achieved.delay_s:.3g} s in {achieved.span_s:.3g} s. Check the link and the load of this computer, or use longer "
             "dwells. Then continue with `resume`.",
             delay_s=achieved.delay_s,
         )
 
 
-def check_rate(achieved: Achieved, set_rate: float, settings: RunSettings, where: str) -> None:
+def check_rate(achieved: Achieved, set_rate: float, where: str) -> None:
     """Raise RigFault if the table did not turn steadily at its rate in a dwell."""
-    off = settings.turn_rate_tolerance * abs(set_rate)
-    slip = settings.angle_tolerance / achieved.span_s
+    off = TURN_RATE_TOLERANCE * abs(set_rate)
+    slip = ANGLE_TOLERANCE / achieved.span_s
     late = 2.0 * abs(set_rate) * achieved.delay_s / achieved.span_s
     rates = ((achieved.turn_rate, off + slip + late), (achieved.between_ends, off + 2.0 * slip + late))
     for rate, allowed in rates:
@@ -78,15 +61,15 @@ def check_rate(achieved: Achieved, set_rate: float, settings: RunSettings, where
                 "amplifier and its encoder.",
                 turn_rate=rate,
             )
-    if not achieved.misfit <= settings.angle_tolerance:
+    if not achieved.misfit <= ANGLE_TOLERANCE:
         raise RigFault(
-            f"rig: expected a steady turn within {settings.angle_tolerance / RADIAN_PER_DEGREE:.2g} deg in {where}, got a "
+            f"rig: expected a steady turn within {ANGLE_TOLERANCE / RADIAN_PER_DEGREE:.2g} deg in {where}, got a "
             f"deviation of {achieved.misfit / RADIAN_PER_DEGREE:.2g} deg. The table stopped, jumped or was pushed. Check it.",
             misfit=achieved.misfit,
         )
 
 
-def check_readings(record: Record, dwell_s: float, settings: RunSettings, where: str) -> int:
+def check_readings(record: Record, dwell_s: float, where: str) -> int:
     """Return the number of missing readings. Raise RigTimeout if too many are missing."""
     valid = np.ones(len(record), bool)
     for values in (record.gyro, record.accel):
@@ -94,9 +77,9 @@ def check_readings(record: Record, dwell_s: float, settings: RunSettings, where:
             valid &= np.isfinite(values).all(axis=1)
     finite, rate = int(valid.sum()), record.sample_rate_hz
     expected = rate * max(dwell_s, record.duration_s)
-    if finite < settings.least_part * expected:
+    if finite < LEAST_PART * expected:
         raise RigTimeout(
-            f"device: expected at least {settings.least_part:.0%} of {expected:.0f} readings in {where}, got {finite}. Check the "
+            f"device: expected at least {LEAST_PART:.0%} of {expected:.0f} readings in {where}, got {finite}. Check the "
             "device and its link, then continue with `resume`.",
             readings=finite,
         )

@@ -26,7 +26,6 @@ from undrift.rig.folder import Head, RecordedDwell, RunFolder
 from undrift.rig.judge import (
     Disturbed,
     RestCheck,
-    RunSettings,
     check_board,
     check_delays,
     check_rate,
@@ -40,6 +39,7 @@ POLLS = 20  # number of positions in a short dwell
 POLL_S = 0.1  # time between two positions in a long dwell, host s
 ATTEMPTS = 3  # number of attempts at a dwell
 SPARE_S = 2.0  # extra duration of a move beyond its dwell, host s (the run ends the move early)
+SOAK_TIMEOUT_S = 6.0 * 3600.0  # longest soak, table s
 AIR_POLL_S = 2.0  # time between two readings of the chamber, table s
 
 log = logging.getLogger(__name__)
@@ -116,12 +116,19 @@ def run_programme(
     *devices: Mounted,
     report: Report,
     gravity_m_s2: float | None = None,
-    settings: RunSettings = RunSettings(),
+    device_lag_s: float = 120.0,
 ) -> tuple[RunResult, ...]:
-    """Run all dwells that are not on the disk yet, and return a result for each device."""
-    run = _Run(programme, bench, devices, report, settings)
+    """Run all dwells that are not on the disk yet, and return a result for each device.
+
+    A soak waits for five time constants `device_lag_s` of a device without thermometer behind the air, s.
+    """
+    run = _Run(programme, bench, devices, report, device_lag_s)
     before = [len(device.folder.done) for device in devices]
     try:
+        if not device_lag_s >= 0.0:
+            raise InputError(
+                f"run: device lag must be 0 s or more, got {device_lag_s}. Set the time constant of the device."
+            )
         done = frozenset.intersection(*(device.folder.done for device in devices))
         check_programme(programme, bench.rig.limits, done, by_hand=isinstance(bench.rig, ManualRig))
         temps_c = {step.temp_c for step in programme.steps if isinstance(step, Soak)}
@@ -170,10 +177,10 @@ class _Run:
     """A run in progress."""
 
     def __init__(
-        self, programme: Programme, bench: RigBench, devices: tuple[Mounted, ...], report: Report, settings: RunSettings
+        self, programme: Programme, bench: RigBench, devices: tuple[Mounted, ...], report: Report, device_lag_s: float
     ) -> None:
         self._programme, self._rig, self._clock, self._chamber = programme, bench.rig, bench.clock, bench.chamber
-        self._mounting, self._devices, self._report, self._settings = bench.mounting, devices, report, settings
+        self._mounting, self._devices, self._report, self._lag_s = bench.mounting, devices, report, device_lag_s
         self._enabled = self._air_steady = False
         self._due = devices  # devices that read the current step
         self._old_fault: str | None = None
@@ -232,9 +239,10 @@ class _Run:
         self._due = self._devices
         self._say("setting" if chamber.near_c is not None else "soaking")  # setting by hand takes time
         chamber.set(step.temp_c)
-        last = self._clock.now() + self._settings.soak_timeout_s
-        lag_s = self._settings.device_lag_s
-        boards = self._sound(self._due, lambda device: BoardWatch(device.readings, self._clock, step, chamber, lag_s))
+        last = self._clock.now() + SOAK_TIMEOUT_S
+        boards = self._sound(
+            self._due, lambda device: BoardWatch(device.readings, self._clock, step, chamber, self._lag_s)
+        )
         while True:
             self._air_steady = chamber.soaked()
             steady = self._sound(boards, lambda device: boards[device].followed(self._air_steady))
@@ -245,7 +253,7 @@ class _Run:
             if self._clock.now() > last:
                 raise RigTimeout(
                     f"chamber: not steady at {step.temp_c:g} degC within {step.slope_c_per_min:g} K/min after "
-                    f"{self._settings.soak_timeout_s:g} s, got {live}. Check chamber and device."
+                    f"{SOAK_TIMEOUT_S:g} s, got {live}. Check chamber and device."
                 )
             self._say("soaking", live)
             self._clock.wait(max(AIR_POLL_S, 0.05 * self._clock.speed))
@@ -310,15 +318,15 @@ class _Run:
         clock.wait(step.settle_s)
         self._check_air(step)
         records, positions = self._read(step, devices)
-        chamber_c, achieved, settings = self._check_air(step), achieved_turn_rate(positions), self._settings
+        chamber_c, achieved = self._check_air(step), achieved_turn_rate(positions)
         if turning:
             late_s = clock.now() - last
             rig.stop()
             try:
-                check_delays(achieved, late_s, settings, self._where)
+                check_delays(achieved, late_s, self._where)
             except RigTimeout as error:
                 return dict.fromkeys(records, error)
-        check_rate(achieved, set_rate, settings, self._where)
+        check_rate(achieved, set_rate, self._where)
         rates = {"set_turn_rate": set_rate, "turn_rate": achieved.turn_rate}
         rates["turn_rate_uncertainty"] = achieved.uncertainty
 
@@ -327,7 +335,7 @@ class _Run:
             if step.temp_c is not None and self._chamber is not None:
                 check_board(record, self._chamber.settings.tolerance_c, self._where)
             try:
-                missing = check_readings(record, step.dwell_s, settings, self._where)
+                missing = check_readings(record, step.dwell_s, self._where)
                 device.rests.check(step, record, self._where)
             except (Disturbed, RigTimeout) as error:
                 return error
@@ -373,7 +381,7 @@ class _Run:
         self._check_air(step)
 
         def take(device: Mounted) -> None:
-            missing = check_readings(records[device], 0.0, self._settings, self._where)
+            missing = check_readings(records[device], 0.0, self._where)
             device.keep(self._number, step, records[device], missing=missing, chamber_c=chamber_c, angle=angle)
 
         self._say("writing")
