@@ -13,16 +13,11 @@ from testkit.pages import CORNERS, SCHEMES, WIDTHS, browser, faults_of, seen_in
 from testkit.pictures import pictures_looked_at
 from testkit.remembered import folder_made_once, run_folder
 from undrift.base.summary import Origin
-from undrift.calibration.session import look
-from undrift.calibration.settings import CalibrateSettings
 from undrift.cli.app import run
-from undrift.commands.calibrate import judge_pieces, leverages
-from undrift.commands.pieces import pieces_of
 from undrift.commands.rig import run_report
 from undrift.io.formats import write_record
 from undrift.io.reference import write_reference
-from undrift.io.session import read_session, write_session
-from undrift.io.store import read_calibration
+from undrift.io.session import write_session
 from undrift.record import Record
 from undrift.report.figures import AXIS_COLOURS, AXIS_DASHES, AXIS_MARKERS, COMPARED_COLOURS, COMPARED_MARKERS
 from undrift.report.page import write_report
@@ -116,33 +111,6 @@ def test_every_page_reads_at_each_width_and_in_each_scheme(pages: Path) -> None:
     with browser() as held:
         every = tuple(product(WIDTHS, SCHEMES))
         assert [fault for name in NAMES for fault in seen_in(held, pages / f"{name}.html", judged=every)] == []
-
-
-@pytest.mark.slow
-def test_the_page_of_a_calibration_shows_what_each_recording_gave(pages: Path) -> None:
-    session, made = read_session(pages / "session"), read_calibration(pages / "c.json")
-    pieces = pieces_of(look(session, CalibrateSettings()), made)
-    records, judged = judge_pieces(session, pieces, CalibrateSettings(), made)
-    assert len(records) == len(session.records)
-    assert [piece for piece in pieces if piece.why] == []
-    kinds = [one.piece.kind for one in judged]
-    assert (kinds.count("still"), kinds.count("turn")) == (len(session.stills), len(session.turns))
-    for one in judged:
-        if one.piece.kind == "still":  # 0.1 deg of tilt and 12 bits leave some mg
-            assert np.linalg.norm(one.accel) == pytest.approx(made.gravity_m_s2, abs=0.1)
-        else:  # noise of a mean over 2 s
-            np.testing.assert_allclose(one.gyro, one.stated, atol=0.01)
-    shares = leverages(judged, made)
-    assert shares.sum() == pytest.approx(1.0, rel=1e-12)
-    assert (shares > 0.0).all()
-    text = (pages / "calibrate.html").read_text()
-    for part in (
-        "Residual of each pose and dwell",
-        "Norm of the specific force",
-        "departures from the mean scale factor of the three axes. For readings in count there is no nominal one.",
-        "information (%)",
-    ):
-        assert part in text
 
 
 def as_deuteranope(colour: str) -> np.ndarray:
