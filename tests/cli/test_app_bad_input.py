@@ -236,7 +236,7 @@ def test_a_wrongly_named_channel_is_pointed_at(undrift, bench, sound, tmp_path):
     assert "no gyroscope readings" in undrift.refused(*words_for("orient", path, bench, tmp_path))
     assert "gyroscope" in undrift.refused(*words_for("validate", path, bench, tmp_path))
     done = undrift.good(*words_for("correct", path, bench, tmp_path))
-    assert "no gyroscope in the recording" in done.out
+    assert "no gyroscope" in done.out
 
 
 CALIBRATIONS = {
@@ -245,7 +245,7 @@ CALIBRATIONS = {
     "half": ("half", "expected JSON"),
     "another kind": ('{"kind": "undrift.device", "format": 1}', "expected kind 'undrift.calibration'"),
     "another version": ("version", "expected format 1, got 99"),
-    "another shape": ("shape", "expected"),
+    "another shape": ("shape", "at gyro.matrix"),
     "another unit": ("unit", "is for readings in v"),
     "a list": ("[1, 2]", "expected kind 'undrift.calibration'"),
     "a folder": ("folder", "no calibration of"),

@@ -13,9 +13,7 @@ import pytest
 
 import undrift
 from testkit.full_calibration import device, record
-from undrift.cli.app import run
 from undrift.errors import InputError
-from undrift.files import hidden_folder
 from undrift.io.parquet import ParquetWriter, write_parquet
 from undrift.io.store import write_calibration
 from undrift.io.text import write_rows
@@ -34,7 +32,7 @@ main()
 
 
 def hidden(folder):
-    return sorted(path.name for path in folder.iterdir() if path.name.startswith(".undrift-"))
+    return sorted(path.name for path in folder.iterdir() if path.name.endswith(".part"))
 
 
 @pytest.fixture(scope="module")
@@ -48,8 +46,15 @@ def bench(tmp_path_factory):
 
 
 def started(bench, out):
-    """Start to correct the long recording and return when its hidden folder is there."""
-    words = ["correct", str(bench / "long.parquet"), "--calibration", str(bench / "c.json"), "-o", str(out / "o.csv")]
+    """Start to correct the long recording and return when its part file is there."""
+    words = [
+        "correct",
+        str(bench / "long.parquet"),
+        "--calibration",
+        str(bench / "c.json"),
+        "-o",
+        str(out / "o.parquet"),
+    ]
     process = subprocess.Popen([sys.executable, "-c", MAIN, *words], stderr=subprocess.PIPE, text=True)
     while not hidden(out):
         assert process.poll() is None
@@ -65,21 +70,6 @@ def test_a_signal_ends_a_command_in_one_line_and_leaves_nothing(bench, tmp_path,
     _, err = process.communicate(timeout=60)
     assert (process.returncode, err.splitlines()[-1]) == (130, "undrift: stopped. No file was left incomplete.")
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.slow
-@needs_signals
-def test_what_a_killed_command_left_is_deleted_a_day_later(bench, tmp_path):
-    process = started(bench, tmp_path)
-    process.kill()
-    process.communicate(timeout=60)
-    (left,) = hidden(tmp_path)
-    with hidden_folder(tmp_path):
-        assert left in hidden(tmp_path)  # another command may be at work in it
-    os.utime(tmp_path / left, (0.0, 0.0))
-    words = ["correct", str(bench / "short.parquet"), "--calibration", str(bench / "c.json")]
-    assert run([*words, "-o", str(tmp_path / "o.parquet")]) == 0
-    assert [path.name for path in tmp_path.iterdir()] == ["o.parquet"]
 
 
 def full(*_):

@@ -196,7 +196,7 @@ def test_specific_force_that_no_motion_explains_is_refused_by_the_name_of_its_un
         assert "--map (units = { accel = ... })" in said
         assert not (tmp_path / name).exists()
     write_record(replace(record, accel=record.accel * 2.5), tmp_path / "hard.parquet")
-    assert "far from 1 g" in undrift.good("correct", tmp_path / "hard.parquet", *command).out
+    assert "body at rest reads 1 g" in undrift.good("correct", tmp_path / "hard.parquet", *command).out
     assert (tmp_path / name).exists()
 
 
