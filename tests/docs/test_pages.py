@@ -16,7 +16,6 @@ WITHOUT_BLOCKS = {
     "index.md",
     "accuracy.md",
     "accuracy-motion.md",
-    "bench-check.md",
     "cite.md",
     "constants.md",
     "lab-sheet.md",

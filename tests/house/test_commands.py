@@ -13,9 +13,9 @@ from undrift.commands.files import Opening
 ROOT = Path(__file__).parents[2]
 
 
-def home_of(name: str) -> str:
-    """Return the package of a command."""
-    return "cli" if name == "bench" else "commands"
+def module_of(name: str) -> str:
+    """Return the module of a command. The package commands/bench is shared with record."""
+    return "open_bench" if name == "bench" else name
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -30,7 +30,7 @@ def test_every_command_answers_help_with_each_of_its_options_explained(
     assert set(re.findall(r"--no-\w+", out)) <= {
         "--no-browser",
     }  # asked for by name; no flag has an automatic opposite
-    home = importlib.import_module(f"undrift.{home_of(name)}.{name}")
+    home = importlib.import_module(f"undrift.commands.{module_of(name)}")
     for held in (*(getattr(home, function) for function in GROUPS.get(name, {name: name}).values()), Opening):
         together = re.findall(r"^ *(\w+(?:, \w+)+) : ", held.__doc__ or "", re.M)
         assert together == [], "options that share a paragraph lose their help"
@@ -38,6 +38,5 @@ def test_every_command_answers_help_with_each_of_its_options_explained(
 
 def test_every_command_has_a_file_and_a_test_of_its_own() -> None:
     for name in COMMANDS:
-        home = home_of(name)
-        assert (ROOT / "src" / "undrift" / home / f"{name}.py").is_file()
-        assert (ROOT / "tests" / home / f"test_{name}.py").is_file()
+        assert (ROOT / "src" / "undrift" / "commands" / f"{module_of(name)}.py").is_file()
+        assert (ROOT / "tests" / "commands" / f"test_{module_of(name)}.py").is_file()

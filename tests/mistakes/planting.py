@@ -29,9 +29,7 @@ from undrift.io.reference import write_reference
 from undrift.io.session import write_session
 from undrift.io.store import write_calibration
 from undrift.sim.motion.motion import Motion
-from undrift.web import bench as bench_module
 from undrift.web.bench import Bench, ServerSettings
-from undrift.web.commands import CommandOutcome, outcome_of
 
 Wrong = Mapping[str, float]  # What is wrong by how much: name with its unit -> rms or largest error
 GOOD_ENOUGH = (
@@ -213,27 +211,22 @@ def _python(case: Case) -> Told:
 
 
 async def _page(case: Case, folder: Path) -> Told:
-    """Do what a page does, with commands in this process: a child process of each would say the same."""
+    """Do what a person does on the page of the bench."""
     assert case.page is not None
-
-    async def in_process(words: Any, place: Path, heard: Callable[[str], None], **_: object) -> CommandOutcome:
-        with contextlib.chdir(place):
-            code, out, err = _called([*words, "--json"])
-        return outcome_of(code, out, err.splitlines())
-
-    before, bench_module.run_command = bench_module.run_command, in_process
-    bench = Bench(ServerSettings(folder=folder / "bench"))
-    try:
-        visit = bench.visit
-        await case.page(case, folder, visit)
-    finally:
-        bench_module.run_command = before
-        bench.close()
-    errors = [one.error for one in visit.library.files if one.error]
-    errors += [bench.job.error] if bench.job is not None and bench.job.error else []
-    shown = tuple(dict.fromkeys(texts_of([visit.library.files, bench.job])))
-    notes = tuple(texts_of([visit.library.files, bench.job], "info"))
-    return Told(2 if errors else 0, " | ".join(errors), shown, notes, visit)
+    bench, error = Bench(ServerSettings(folder=folder / "bench")), ""
+    with warnings.catch_warnings(), UNPRINTED:
+        warnings.simplefilter("ignore")
+        try:
+            await case.page(case, folder, bench)
+        except UndriftError as refusal:
+            error = bench.plain(str(refusal))
+        finally:
+            bench.close()
+    found = [item.looked.findings for item in bench.items if item.looked]
+    found += [shown["findings"] for item in bench.items for shown in item.results.values()]
+    texts = [(level, f"{sentence} {action}".rstrip()) for findings in found for level, sentence, action in findings]
+    told = tuple(dict.fromkeys(text for level, text in texts if level != "info"))
+    return Told(2 if error else 0, error, told, tuple(text for level, text in texts if level == "info"), bench)
 
 
 def texts_of(value: Any, *levels: str) -> list[str]:

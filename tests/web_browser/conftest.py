@@ -13,23 +13,19 @@ from PIL import Image, ImageOps
 from playwright.sync_api import BrowserContext, Page, expect
 
 from testkit.bench import BenchServer, bench_process
-from undrift.commands.bench.guides import GAP, named
 
 CHROMIUM = shutil.which("chromium")
 SCREENS = os.environ.get("UNDRIFT_SCREENS")  # a folder for pictures of the pages; `make test-browser` names one
 PICTURES = os.environ.get("UNDRIFT_PICTURES")  # a folder for those of the manual; `make pictures` names docs/pictures
-WAIT_MS = 20_000
+WAIT_MS, COMMAND_MS = 20_000, 90_000
 expect.set_options(timeout=WAIT_MS)  # a page beside a busy machine answers late
-CAPTURE_MS = 40_000  # a face takes 12 s: a move of 2, a window, settling and a countdown of 6
-# rests and turns of guided captures, six times as fast; `make test-long` has them in real time
-quick_and_real_time = pytest.mark.parametrize("practice_speed", [6.0, pytest.param(1.0, marks=pytest.mark.slow)])
 # sizes and schemes of a page; the gate has one of them
 wide_and_narrow = pytest.mark.parametrize(
     ("width", "height", "scheme"), [(1280, 800, "light"), pytest.param(390, 844, "dark", marks=pytest.mark.slow)]
 )
 # what a page must not have whatever its readings are: parts beyond the screen, parts that only a pointer scrolls, small buttons
 _MEASURED = """() => {
-  const all = kind => [...document.querySelectorAll('.bench-main ' + kind)], page = document.documentElement
+  const all = kind => [...document.querySelectorAll('main ' + kind)], page = document.documentElement
   const scrolls = e => ['auto', 'scroll'].includes(getComputedStyle(e).overflowX)
   return {
     'px beyond the screen': Math.max(0, page.scrollWidth - page.clientWidth),
@@ -40,16 +36,9 @@ _MEASURED = """() => {
 
 
 @pytest.fixture
-def practice_speed() -> float:
-    """How much faster than real time the practice device is; a test states another as its parameter."""
-    return 1.0
-
-
-@pytest.fixture
-def bench_server(tmp_path: Path, practice_speed: float) -> Iterator[BenchServer]:
-    """Serve a bench that writes to a folder of its own, with the same practice device each time."""
-    words = ("--practice-seed", "2007", "--practice-speed", str(practice_speed))
-    with bench_process(tmp_path / "bench", *words) as server:
+def bench_server(tmp_path: Path) -> Iterator[BenchServer]:
+    """Serve a bench that writes to a folder of its own, with the same practice device each time, six times as fast."""
+    with bench_process(tmp_path / "bench", speed=6.0) as server:
         yield server
 
 
@@ -63,28 +52,36 @@ def browser_type_launch_args(browser_type_launch_args: dict[str, Any]) -> dict[s
 
 @pytest.fixture
 def open_page(bench_server: BenchServer, new_context: Callable[..., BrowserContext]) -> Callable[..., Page]:
-    """Return what opens a page of the bench by its path, in a browser of its own, and waits until it answers."""
+    """Return what opens the page in a browser of its own, and waits until it answers."""
 
-    def make(path: str = "/", *, width: int = 1200, height: int = 900, **options: Any) -> Page:
+    def make(*, width: int = 1280, height: int = 800, **options: Any) -> Page:
         still = {"reduced_motion": "reduce"} | options
         page = new_context(viewport={"width": width, "height": height}, **still).new_page()
         page.set_default_timeout(WAIT_MS)
-        page.goto(bench_server.address + path.lstrip("/"))
+        page.goto(bench_server.address)
         page.wait_for_function("window.socket && window.socket.connected")
         return page
 
     return make
 
 
-def step(page: Page, name: str) -> None:
-    """Go to a step of the device by its rail."""
-    page.get_by_role("navigation", name="Stages").get_by_role("link", name=name).click()
-    page.get_by_role("heading", level=1, name=name).wait_for()
+class Person:
+    """A person with a pointer, whose clicks are counted, and what the browser complains of."""
 
+    def __init__(self, page: Page) -> None:
+        self.page, self.clicks, self.complaints = page, 0, list[str]()
+        page.on("console", lambda line: self.complaints.append(line.text) if line.type == "error" else None)
+        page.on("pageerror", lambda error: self.complaints.append(str(error)))
 
-def state_serial(page: Page, serial: str = "A17") -> None:
-    """State the serial number, which is required."""
-    page.get_by_label("Serial number", exact=False).first.fill(serial)
+    def click(self, name: str, role: str = "button") -> None:
+        """Click a control by its name."""
+        self.page.get_by_role(role, name=name, exact=True).click(timeout=COMMAND_MS)  # type: ignore[arg-type]
+        self.clicks += 1
+
+    def drop(self, path: Path) -> None:
+        """Choose a file, which takes two clicks."""
+        self.page.locator("input[type=file]").set_input_files(path)
+        self.clicks += 2
 
 
 def shoot(page: Page, name: str) -> None:
@@ -117,19 +114,3 @@ def faults_of(page: Page) -> list[str]:
 def measured_faults_of(page: Page) -> list[str]:
     """Return what is measured of a page that should not be."""
     return [f"{number} {what}" for what, number in page.evaluate(_MEASURED).items() if number]
-
-
-def turn_until_captured(page: Page, way: str, turn: Callable[[], object]) -> int:
-    """Turn once, and again as the guide asks where the machine was too busy to keep each reading; return how often."""
-    captured = page.get_by_role("listitem").filter(has_text=named(way).capitalize()).filter(has_text="captured")
-    asked_again = page.locator(".light-words").filter(has_text=GAP)
-    for turned in range(1, 6):
-        page.locator(".light-words").filter(has_text="Turn it once").wait_for(timeout=CAPTURE_MS)
-        refused = asked_again.is_visible()
-        turn()
-        if refused:  # the words about the turn before
-            asked_again.wait_for(state="hidden", timeout=CAPTURE_MS)
-        captured.or_(asked_again).first.wait_for(timeout=CAPTURE_MS)
-        if captured.is_visible():
-            return turned
-    raise AssertionError(f"no turn {named(way)} was captured: {page.locator('.light-words').inner_text()}")

@@ -64,36 +64,6 @@ def test_the_arrow_goes_round_the_way_the_words_say(draw, turn, words):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("up", FACES)
-def test_a_worn_device_is_drawn_with_right_handed_axes(draw, up):
-    for forward in FACES:
-        judge_axes(draw, forward, up)
-
-
-def judge_axes(draw, forward, up):
-    """Judge the axes of one way to wear a device."""
-    drawn = parsed(draw("worn", forward, up))
-    label = drawn.get("aria-label")
-    names = [text.text for text in drawn.iter(f"{SVG}text")]
-    if forward[1] == up[1]:
-        assert names == []
-        return
-    assert names == ["x", "y", "z"]
-    body = {
-        "forward": (1, 0, 0),
-        "back": (-1, 0, 0),
-        "left": (0, 1, 0),
-        "right": (0, -1, 0),
-        "up": (0, 0, 1),
-        "down": (0, 0, -1),
-    }
-    x, y, z = (body[re.search(rf"{axis} points (\w+)", label)[1]] for axis in "xyz")
-    assert np.cross(x, y).tolist() == list(z)
-    for side, way in ((forward, (1, 0, 0)), (up, (0, 0, 1))):
-        assert np.dot(unit_vector(side), np.array([x, y, z]) @ np.array(way)) == 1
-
-
-@pytest.mark.slow
 def test_every_light_has_a_shape_of_its_own_and_is_green_only_where_all_is_well(draw):
     shapes = {state: draw("lamp", state) for state in get_args(State)}
     assert [state for state, svg in shapes.items() if "--good" in svg] == ["still", "captured"]

@@ -45,6 +45,7 @@ MOVED = {
     "study": "study:study",
     "demo": "demo:demo",
     "record": "record:record",
+    "bench": "open_bench:bench",
     **{f"rig {name}": f"rig:{name}" for name in ("run", "stop", "check")},
 }  # the module and the function of each command
 DISPLAY = Group("Display", sort_key=99)

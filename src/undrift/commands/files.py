@@ -325,7 +325,7 @@ def calibration_findings(model: Calibration | None) -> tuple[Finding, ...]:
         return ()
     status, count = model.verdict.status, sum(item.level != "info" for item in model.verdict.findings)
     sentence = f"The verdict of the calibration is {status}, with {count} findings."
-    action = "Run undrift info on the calibration to read them."
+    action = "Read them with the calibration (undrift info)."
     return (finding("calibration.verdict", "fail" if status == "bad" else "warn", sentence, action),)
 
 

@@ -1,8 +1,7 @@
-"""The server of the bench: pages, files and uploads, for this computer only."""
+"""The server of the bench: the page, files and uploads, for this computer only."""
 
 import asyncio
 import contextlib
-import os
 import socket
 from collections.abc import AsyncIterator, Callable
 from functools import partial
@@ -17,22 +16,16 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
 from uvicorn.protocols.http.auto import AutoHTTPProtocol
 
-from undrift.commands.bench.library import lock_folder
 from undrift.errors import InputError, UndriftError
-from undrift.web import device, guided, parts, recordings
+from undrift.web import page
 from undrift.web.access import Access
-from undrift.web.bench import Bench, ServerSettings, Visit
-from undrift.web.parts import texts
+from undrift.web.bench import Bench, ServerSettings
+from undrift.web.items import lock_folder
 from undrift.web.uploads import receive_upload
 
 STATIC = Path(__file__).parent / "static"
 HOST = "127.0.0.1"  # pages are served to this computer only
-CONNECTED_S = 60.0  # from a page to its socket
 FIRST_S = 10.0  # from a connection to its first request
-BUILT: dict[str, Callable[[Visit], None]] = {
-    "/": device.page, "/six-faces": partial(guided.page, "Six faces"), "/turns": partial(guided.page, "Turns by hand"),
-    "/check": recordings.check_page, "/calibrate": recordings.calibrate_page, "/use": recordings.use_page,
-}  # fmt: skip
 
 
 def serve(settings: ServerSettings, ready: Callable[[str], None]) -> None:
@@ -42,7 +35,6 @@ def serve(settings: ServerSettings, ready: Callable[[str], None]) -> None:
 
 
 def _serve(settings: ServerSettings, ready: Callable[[str], None], lock: IO[str]) -> None:
-    os.environ.setdefault("UNDRIFT_PROGRESS_S", "1")  # of the commands that it runs: how far they are
     bench, listener = Bench(settings), listen(HOST, settings.port)
     address = f"http://{HOST}:{listener.getsockname()[1]}/"
     lock.write(f"{address}\n")
@@ -95,7 +87,9 @@ def application(bench: Bench, ready: Callable[[], None]) -> FastAPI:
     @contextlib.asynccontextmanager
     async def life(_: FastAPI) -> AsyncIterator[None]:
         ready()
+        opening = asyncio.create_task(bench.open_newest())
         yield
+        opening.cancel()
 
     api = FastAPI(openapi_url=None, docs_url=None, redoc_url=None, lifespan=life)
 
@@ -121,27 +115,7 @@ def application(bench: Bench, ready: Callable[[], None]) -> FastAPI:
         return JSONResponse({"file": path.relative_to(bench.folder).as_posix()})
 
     pages_app.add_static_files("/static", STATIC)
-    for path, name in texts()["pages"].items():
-        _add_page(bench, path, name)
+    ui.page("/", title="undrift bench")(partial(page.build, bench))
     look: dict[str, Any] = {"title": "undrift bench", "dark": None, "language": "en-US", "tailwind": False}
     ui.run_with(api, reconnect_timeout=10.0, show_welcome_message=False, **look)
     return api
-
-
-def _add_page(bench: Bench, path: str, name: str) -> None:
-    async def build() -> None:
-        scripts = (f'<script src="/static/{name}.js" defer></script>' for name in ("bench", "drawings"))
-        ui.add_head_html('<link rel="stylesheet" href="/static/bench.css">' + "".join(scripts))
-        client = ui.context.client
-        rail, main = parts.frame(bench, name)
-        try:
-            await client.connected(CONNECTED_S)
-        except TimeoutError:  # it looked at the page without a socket
-            return
-        bench.library.find_jobs()
-        with rail:
-            device.rail(bench.visit, path)
-        with main:
-            BUILT[path](bench.visit)
-
-    ui.page(path, title=f"{name} - undrift bench")(build)

@@ -1,31 +1,44 @@
-"""State of the bench on the server: connected device, recordings, results, and user input. The pages show it.
-
-commands/bench/library.py describes its folder.
-"""
+"""State of the bench on the server: connected device, files and results, what was chosen and typed. The page shows it."""
 
 import asyncio
 import json
+import os
 import re
-import time
-import tomllib
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 from urllib.parse import quote
 
-from undrift.commands.bench.library import Job, Library, read_object
-from undrift.commands.bench.source import LiveDevice, PracticeDevice, listened
-from undrift.errors import InputError, UndriftError
+from undrift.base.codec import toml_text
+from undrift.commands.bench.look import assumes_gravity, look_at
+from undrift.commands.bench.source import LiveDevice, PracticeDevice, found_devices, listened
+from undrift.commands.calibrate import calibrate
+from undrift.commands.certificate import Statement, certificate
+from undrift.commands.correct import correct
+from undrift.commands.orient import orient
+from undrift.errors import InputError
 from undrift.files import write_whole
-from undrift.web.commands import CommandOutcome, run_command
-from undrift.web.parts import PRACTICE
+from undrift.report.page import page_text
+from undrift.report.report import Report
+from undrift.web.guided import Guided
+from undrift.web.items import CALIBRATION, MAP, Item, items_in, read_object
 from undrift.web.place import Site
-from undrift.web.recordings import Recordings
+from undrift.web.result import shown_of
 from undrift.web.uploads import safe_name
+from undrift.web.work import Work
 
-PLACE = "place.json"
+PLACE, PRACTICE = "place.json", "practice"
+SEED, SPEED = "UNDRIFT_PRACTICE_SEED", "UNDRIFT_PRACTICE_SPEED"  # of the practice device, in the environment
+INTERNAL = re.compile(r"\b(?:uploads|jobs)/[^/\s\"]+/(?:session/)?")  # folders that no person needs to read
+OPTIONS = {  # what the page calls the parameters of commands
+    "column_map": "the columns and units", "sample_rate_hz": "the samples per second", "turn_deg": "the angle of its turns",
+    "calibrate_from": "the way to calibrate", "from": "the way to calibrate", "latitude_deg": "the town or latitude",
+    "height_m": "the height", "gravity_m_s2": "the gravity", "rest_s": "the rest",
+}  # fmt: skip
+Value = TypeVar("Value")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,153 +48,186 @@ class ServerSettings:
     folder: Path  # of everything that it writes
     port: int = 8765  # 0 takes a free one
     token: str | None = None  # required in every request; None for no check on this computer
-    upload_mb: float = 500.0  # Largest upload, 1e6 bytes
-    practice_seed: int | None = None  # of the practice device; None draws a random seed
-    practice_speed: float = 1.0  # of its clock, times real time
-
-
-@dataclass(slots=True)
-class Working:
-    """A command that runs now."""
-
-    what: str
-    line: str = ""
-    began: float = field(default_factory=time.monotonic)
-    task: asyncio.Task[CommandOutcome] | None = None
-
-    def words(self) -> str:
-        """Return the current task, its duration, and the last line of output."""
-        return f"Working: {self.what}, {time.monotonic() - self.began:.0f} s. {self.line}"
-
-    @property
-    def share(self) -> float | None:
-        """Return the completed share, as reported by the command."""
-        percent = re.search(r"\((\d+) %\)$", self.line)
-        return percent and float(percent[1]) / 100.0
-
-    def cancel(self) -> None:
-        """Cancel the command. Its output is not written."""
-        if self.task is not None:
-            self.task.cancel()
+    upload_mb: float = 500.0  # largest upload, 1e6 bytes
 
 
 class Bench:
-    """State that all pages share. Its methods run on the server's event loop and never block it."""
+    """State that all tabs share. Its methods run on the server's event loop and never block it."""
 
     def __init__(self, settings: ServerSettings) -> None:
         self.settings, self.folder = settings, settings.folder
+        self.items = items_in(self.folder)
+        self.chosen: Item | None = None
+        self.step = "Readings"
         self.source: LiveDevice | None = None
-        self.source_error = ""
-        self.connecting = ""  # the address that is being connected
-        self.job: Job | None = None  # of the device that is at work
-        self.working: list[Working] = []
-        self._practice, self.library = PracticeDevice(), Library(self.folder)
+        self.found = list[tuple[str, str]]()  # addresses of devices, and what they are
+        self.guided: Guided | None = None
+        self.work: Work | None = None
+        self.errors = dict[str, str]()  # by the button that caused them
+        self.version = 0  # counts changes, after which pages are drawn again
         self.place = Site(**read_object(self.folder / PLACE))
-        self.visit = Visit(self)
+        self.calibration = next((item.calibration for item in self.items if item.calibration), None)
+        self.typed: dict[str, Any] = {"address": "", "offset": "none", "format": ".csv", "forward": "", "up": ""}
+        self._practice, self._one = PracticeDevice(), asyncio.Lock()
+
+    def changed(self) -> None:
+        """Let all pages draw themselves again."""
+        self.version += 1
+
+    def go(self, step: str) -> None:
+        """Open a step."""
+        if step != self.step:
+            self.step = step
+            self.changed()
+
+    async def call(self, name: str, function: Callable[..., Value], *values: Any, **options: Any) -> Value:
+        """Run a function in a thread, one at a time. Pages show its progress."""
+        async with self._one:
+            self.work = work = Work(name)
+            self.changed()
+            try:
+                return await asyncio.to_thread(work.run, function, *values, **options)
+            finally:
+                self.work = None
+                self.changed()
+
+    def plain(self, text: str) -> str:
+        """Return a text without folders of the bench, and with parameters called as on the page."""
+        text = INTERNAL.sub("", text.replace(f"{self.folder}/", ""))
+        named = re.compile(r"`(\w+)`|--([a-z][a-z-]+)\b")
+        return named.sub(lambda m: OPTIONS.get((m[1] or m[2]).replace("-", "_"), m[1] or m[0]), text)
 
     # ---- The device
 
     async def connect(self, address: str) -> None:
-        """Connect a device in place of the previous device. Errors are stored in ``source_error``."""
+        """Connect a device in place of the previous one, and begin a guided recording."""
         await self.disconnect()
-        self.source_error, self.connecting = "", address
 
         def opened() -> LiveDevice:
-            source = LiveDevice(listened(self._address_of(address)))
+            source = LiveDevice(listened(self._address_of(address.strip())))
             source.start()
             return source
 
-        try:
-            self.source = await asyncio.to_thread(opened)
-        except (UndriftError, OSError) as error:
-            self.source_error = str(error)
-        finally:
-            self.connecting = ""
+        self.source = await self.call("Connecting", opened)
+        self.begin()
 
-    async def disconnect(self) -> None:
-        """Disconnect the device."""
-        await asyncio.to_thread(self._let_go)
-
-    def _let_go(self) -> None:
-        source, self.source = self.source, None
-        if source is not None:
-            source.stop()
+    def _address_of(self, address: str) -> str:
+        if address != PRACTICE:
+            self._practice.close()
+            return address
+        seed, speed = os.environ.get(SEED, ""), os.environ.get(SPEED, "")
+        return self._practice.start(int(seed) if seed else None, float(speed or 1.0), self.place.gravity_m_s2)
 
     @property
     def practice(self) -> Any:
         """Return the practice device if it is connected."""
         return None if self.source is None else self._practice.device
 
-    def _address_of(self, address: str) -> str:
-        """Return an address to connect to. For ``practice``, start the practice device and return its address."""
-        s = self.settings
-        if address.strip() == PRACTICE:
-            return self._practice.start(s.practice_seed, s.practice_speed, self.place.gravity_m_s2)
+    async def search(self) -> None:
+        """Search for serial ports and LSL streams."""
+        self.found, notes = await self.call("Looking", found_devices)
+        if not self.found:
+            raise InputError(" ".join(["No device was found. Connect it, switch it on, and look again.", *notes]))
+
+    def begin(self) -> None:
+        """Begin a guided recording with the connected device. An earlier one keeps its folder."""
+        if self.source is None:
+            return
+        stamp = f"{datetime.now():%Y-%m-%d-%H%M%S-%f}-{safe_name(self.source.name, 'device')}"
+        (folder := self.folder / "jobs" / stamp).mkdir(parents=True)
+        item = Item(folder=folder, path=folder / "session", kind="session", serial=self.source.name)
+        item.save()
+        self.guided = Guided(self, item)
+        self.items.insert(0, item)
+        self.chosen, self.step = item, "Check"
+        self.changed()
+
+    async def disconnect(self) -> None:
+        """Disconnect the device."""
+        source, self.source = self.source, None
+        if source is not None:
+            await asyncio.to_thread(source.stop)
+        self.changed()
+
+    def close(self) -> None:
+        """Close all resources when the server ends."""
+        if self.source is not None:
+            self.source.stop()
         self._practice.close()
-        return address.strip()
 
-    # ---- The work
+    # ---- Files
 
-    def set_place(self, place: Site) -> None:
-        """Set the place of the bench, and store it for the next start."""
-        self.place = place
-        write_whole(self.folder / PLACE, json.dumps(asdict(place)) + "\n")
+    async def add(self, paths: Sequence[Path]) -> None:
+        """Add files that were sent together: as one recording if they are one, such as a phone's, otherwise each."""
+        if len(paths) > 1:
+            together = paths[0].parent / "files"
+            together.mkdir()
+            moved = [path.rename(together / path.name) for path in paths if not (together / path.name).exists()]
+            with suppress(InputError):
+                item = Item(folder=together.parent, path=together)
+                await self._look(item)
+                if item.kind == "recording":
+                    for path in paths[1:]:
+                        with suppress(OSError):
+                            path.parent.rmdir()
+                    self._added(item)
+                    return
+            for path, source in zip(moved, paths, strict=False):
+                path.rename(source)
+            together.rmdir()
+        for path in paths:
+            self._added(Item(folder=path.parent, path=path))
+            await self.choose(self.items[0])
 
-    def new_job(self, serial: str = "") -> Job:
-        """Create a job with a new folder for another device."""
-        stamp, label = datetime.now().strftime("%Y-%m-%d-%H%M%S"), safe_name(serial, "device")
-        folder, k = self.folder / "jobs" / f"{stamp}-{label}", 1
-        while folder.exists():
-            folder, k = self.folder / "jobs" / f"{stamp}-{label}-{k}", k + 1
-        folder.mkdir(parents=True)
-        self.job = Job(folder=folder, serial=serial)
-        self.job.save()
-        self.library.jobs.insert(0, self.job)
-        return self.job
+    def _added(self, item: Item) -> None:
+        item.save()
+        self.items.insert(0, item)
+        self.chosen, self.step = item, "Check"
+        self.errors.clear()
+        self.changed()
 
-    async def calibrate(self, job: Job, *words: object) -> CommandOutcome:
-        """Run ``undrift calibrate`` for a job: a session, or recordings and options."""
-        calibration, report = job.folder / "calibration.json", job.folder / "report.html"
-        job.words = self._relative_to_folder(words)
-        job.save()
-        place = () if _states_gravity(self.folder / job.words[0]) else self.place.words()
-        outcome = await self.command("calibrate", *words, *place, "-o", calibration, "--report", report)
-        self._take(job, outcome)
-        return outcome
+    async def choose(self, item: Item) -> None:
+        """Choose a file, and read it unless it was read."""
+        self.chosen, self.step = item, "Calibrate" if "calibrate" in item.results else "Check"
+        self.errors.clear()
+        self.changed()
+        if item.looked is None and item.kind != "session":
+            try:
+                await self._look(item)
+            except InputError as error:
+                item.summary = self.plain(str(error))
+                item.save()
+                self.changed()
 
-    def _take(self, job: Job, outcome: CommandOutcome) -> None:
-        job.error = outcome.error
-        if outcome.done:
-            (job.folder / "certificate.html").unlink(missing_ok=True)  # it was another calibration's
-            remarks = {key: outcome.answer.get(key, []) for key in ("findings", "notes")}
-            job.answer, job.later = {**outcome.answer["data"], **remarks}, []
-            job.look()
-        job.save()
+    async def open_newest(self) -> None:
+        """Open the newest file or recording, as after a restart."""
+        if self.items:
+            await self.choose(self.items[0])
 
-    async def command(self, *words: object, folder: Path | None = None) -> CommandOutcome:
-        """Run a command of undrift. Pages show its progress."""
-        now = Working(str(words[0]))
-        self.working.append(now)
+    async def _look(self, item: Item) -> None:
+        item.looked = looked = await self.call("Reading", look_at, item.path, item.opening)
+        item.kind, item.summary = looked.kind, self.plain(looked.summary)
+        item.serial = item.serial or looked.serial or item.path.name.partition(".")[0]
+        item.draft = looked.draft or item.draft
+        if item.kind == "calibration":
+            self.calibration = item.path
+            item.keep("calibrate", await self.call("Reading", self._shown, looked.report))
+        item.save()
+        self.changed()
 
-        def heard(line: str) -> None:
-            now.line = line
-
-        now.task = asyncio.create_task(run_command(self._relative_to_folder(words), folder or self.folder, heard))
-        try:
-            await asyncio.wait([now.task])
-            return CommandOutcome(code=2, error=f"{now.what}: cancelled") if now.task.cancelled() else now.task.result()
-        finally:
-            now.cancel()
-            self.working.remove(now)
-
-    def _relative_to_folder(self, arguments: Sequence[object]) -> tuple[str, ...]:
-        """Return the words of a command with files by their paths below the folder, in which it runs."""
-        return tuple(str(word).removeprefix(f"{self.folder}/") for word in arguments)
+    async def read_again(self, item: Item) -> None:
+        """Read a file with the columns, units or rate that a person entered."""
+        unknown = [key for key, unit in item.draft.get("units", {}).items() if unit == "?"]
+        if unknown:
+            raise InputError(f"Choose the unit of {' and '.join(unknown)}. The data sheet of the device states it.")
+        if item.draft.get("sample_rate_hz") == "?":
+            raise InputError("Enter the samples per second. The data sheet or the settings of the device state them.")
+        if item.draft:
+            write_whole(item.folder / MAP, toml_text(item.draft))
+        await self._look(item)
 
     def inside(self, name: str) -> Path:
-        """Return a file of the bench from its path below the folder. Raise InputError for a missing file or a path
-        outside.
-        """
+        """Return a file of the bench from its path below the folder. Raise InputError for any other."""
         root = self.folder.resolve()
         try:
             path = (root / name).resolve()
@@ -189,57 +235,77 @@ class Bench:
         except (OSError, ValueError, RuntimeError):  # too long, a NUL, a ring of links
             exists = False
         if not exists:
-            raise InputError("bench: only files that the bench wrote can be opened. Choose a file on the page Check.")
+            raise InputError("bench: only files that the bench wrote can be opened. Choose a file on the page.")
         return path
 
     def link(self, path: Path) -> str:
         """Return where the browser finds a file of the bench."""
         return "/files/" + quote(path.resolve().relative_to(self.folder.resolve()).as_posix())
 
-    def close(self) -> None:
-        """Close all resources when the server ends."""
-        self._let_go()
-        self._practice.close()
-
-
-class Visit:
-    """The choices and input of a user. All tabs of a browser share them."""
-
-    def __init__(self, bench: Bench) -> None:
-        self.bench, self.library = bench, bench.library
-        self.address, self.ways = "", dict[str, Any]()  # address entered, and devices found
-        self.shown: Job | None = None  # whose result was opened
-        self.recordings = Recordings(self)
-        self.statement = dict[str, str]()  # of the laboratory, for certificates
-        # calibration for correcting files, at first the latest calibration
-        self.calibration: Path | None = next((job.calibration for job in self.library.jobs if job.calibration), None)
-
-    async def search(self) -> None:
-        """Search for devices and ports."""
-        self.ways = (await self.bench.command("record")).answer
-
     @property
-    def job(self) -> Job | None:
-        """Return the job whose result is shown: the opened job, or the newest."""
-        jobs = (self.shown, *self.library.jobs)
-        return next((job.read() for job in jobs if job is not None and job.calibration is not None), None)
+    def calibrations(self) -> dict[Path, str]:
+        """Return the calibrations by their files, the newest first."""
+        return {item.calibration: f"{item.serial} ({item.arrival})" for item in self.items if item.calibration}
 
-    async def calibrate(self, job: Job, *words: object) -> CommandOutcome:
-        """Calibrate for a job. Use the result for corrections from now on if it has accelerometers. Otherwise the user
-        decides.
-        """
-        outcome = await self.bench.calibrate(job, *words)
-        if outcome.done:
-            self.shown = job
-            if "accelerometers" not in job.lacks:
-                self.calibration = job.calibration
-        return outcome
+    # ---- Results
 
+    def set_place(self, place: Site) -> None:
+        """Set the place of the bench, and store it for the next start."""
+        self.place = place
+        write_whole(self.folder / PLACE, json.dumps(asdict(place)) + "\n")
 
-def _states_gravity(path: Path) -> bool:
-    """Return True if a session's folder contains local gravity. A recording never does."""
-    try:
-        head = tomllib.loads((path / "session.toml").read_text(encoding="utf-8"))["session"]
-    except (OSError, ValueError, KeyError):
-        return False
-    return "gravity_m_s2" in head or "latitude_deg" in head
+    async def calibrate(self, item: Item, *, motion: bool = False, accel_only: bool = False) -> None:
+        """Calibrate from the rests and turns of a recording, or from its motion, and use the calibration from now on."""
+        place = self.place.place(item.serial.strip())
+        if item.kind == "session":
+            place = (self.place if assumes_gravity(item.path) else Site()).place()
+        output = item.folder / CALIBRATION
+        options: dict[str, Any] = {"calibrate_from": "motion"} if motion else {"turn_deg": item.turn_deg}
+        if accel_only:
+            options = {"gyro": "none"}
+        await self._run(item, calibrate, item.path, place=place, opening=item.opening, output=output, **options)
+        item.discard("certificate")
+        self.calibration = output
+
+    async def certify(self, item: Item, statement: Statement) -> None:
+        """Write the certificate with the entries of the laboratory."""
+        await self._run(
+            item, certificate, item.calibration, output=item.folder / "certificate.html", statement=statement
+        )
+
+    async def correct(self, item: Item) -> None:
+        """Correct a recording."""
+        output = item.folder / f"{self._base(item)}-corrected{self.typed['format']}"
+        await self._run(
+            item, correct, item.path, calibration=self.calibration, output=output, offset=self.typed["offset"],
+            opening=item.opening,
+        )  # fmt: skip
+
+    async def orient(self, item: Item) -> None:
+        """Compute the orientation of a recording."""
+        output = item.folder / f"{self._base(item)}-angles{self.typed['format']}"
+        await self._run(
+            item, orient, item.path, calibration=self.calibration, output=output, offset=self.typed["offset"],
+            forward=self.typed["forward"] or None, up=self.typed["up"] or None, opening=item.opening,
+        )  # fmt: skip
+
+    def _base(self, item: Item) -> str:
+        return safe_name(item.path.name.split(".")[0], "recording")
+
+    async def _run(self, item: Item, command: Callable[..., Report], *values: Any, **options: Any) -> None:
+        """Run a command, and keep its result with a page."""
+        name = command.__name__
+
+        def run() -> dict[str, Any]:
+            report = command(*values, **options)
+            shown = self._shown(report)
+            if name != "certificate":
+                page = item.folder / f"{name}.html"
+                write_whole(page, self.plain(page_text(report)))
+                shown["files"].append(page.name)
+            return shown
+
+        item.keep(name, await self.call(name.capitalize(), run))
+
+    def _shown(self, report: Report) -> dict[str, Any]:
+        return shown_of(report, self.plain)

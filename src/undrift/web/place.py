@@ -1,28 +1,22 @@
-"""Location of the bench: gravity is computed from a town or a latitude, or entered directly."""
+"""Place of the bench: gravity is computed from a town or a latitude, or entered directly."""
 
 import csv
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from pathlib import Path as FilePath
 
-from undrift.base.options import asked, stated
+from undrift.commands.files import Place
 from undrift.errors import InputError
 from undrift.units import STANDARD_GRAVITY, gravity_at
-from undrift.web import parts
-
-if TYPE_CHECKING:
-    from undrift.web.bench import Bench
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Site:
-    """Location of the bench. Gravity is computed with WGS 84 unless it is given."""
+    """Place of the bench. Gravity is computed with WGS 84 unless it is given."""
 
     latitude_deg: float | None = None
     height_m: float = 0.0
-    stated_m_s2: float | None = None  # local gravity, which overrides the value from the latitude
+    stated_m_s2: float | None = None  # local gravity, in place of the value from the latitude
 
     def __post_init__(self) -> None:
         if self.latitude_deg is not None and not -90.0 <= self.latitude_deg <= 90.0:
@@ -35,38 +29,41 @@ class Site:
             )
 
     @property
+    def known(self) -> bool:
+        """Return whether gravity is known."""
+        return self.stated_m_s2 is not None or self.latitude_deg is not None
+
+    @property
     def gravity_m_s2(self) -> float:
-        """Return local gravity, m/s2, or standard gravity if the location is unknown."""
+        """Return local gravity, m/s2, or standard gravity if the place is unknown."""
         if self.stated_m_s2 is not None or self.latitude_deg is None:
             return self.stated_m_s2 or STANDARD_GRAVITY
         return gravity_at(self.latitude_deg, self.height_m)
 
-    def words(self) -> tuple[object, ...]:
-        """Return the options of ``calibrate`` for recordings that state no gravity."""
+    def place(self, serial: str = "") -> Place:
+        """Return the place for recordings that state no gravity."""
         if self.stated_m_s2 is not None:
-            return stated(gravity_m_s2=self.stated_m_s2)
-        return () if self.latitude_deg is None else stated(latitude_deg=self.latitude_deg, height_m=self.height_m)
+            return Place(gravity_m_s2=self.stated_m_s2, serial=serial)
+        height_m = None if self.latitude_deg is None else self.height_m
+        return Place(latitude_deg=self.latitude_deg, height_m=height_m, serial=serial)
+
+    @property
+    def text(self) -> str:
+        """Return gravity in words."""
+        return f"gravity {self.gravity_m_s2:.4f} m/s2" if self.known else "not known, so standard gravity is assumed"
 
 
 @cache
 def towns() -> dict[str, tuple[float, float]]:
     """Return latitude, deg, and height, m, of some towns by name."""
-    rows = csv.reader(Path(__file__).with_name("towns.csv").read_text(encoding="utf-8").splitlines())
-    return {town.casefold(): (float(latitude), float(height)) for town, latitude, height in rows}
-
-
-@dataclass(slots=True, kw_only=True)
-class PlaceForm:
-    """Input of the location form."""
-
-    town: str = asked("--latitude-deg", hint="north is positive", kind="list", options=lambda: list(towns()))
-    height: str = asked("--height-m", hint="empty: height of the town")
-    gravity: str = asked("--gravity-m-s2", hint="in place of the town")
+    rows = csv.reader(FilePath(__file__).with_name("towns.csv").read_text(encoding="utf-8").splitlines())
+    return {town: (float(latitude), float(height)) for town, latitude, height in rows}
 
 
 def place_of(town: str, height: str = "", gravity: str = "") -> Site:
-    """Return the location entered in the form: a town from the list or a latitude in deg, height in m, gravity in m/s2."""
-    latitude_deg, height_m = towns().get(town.strip().casefold(), (None, 0.0))
+    """Return the place of a form: a town of the list or a latitude in deg, height in m, gravity in m/s2."""
+    known = {name.casefold(): where for name, where in towns().items()}
+    latitude_deg, height_m = known.get(town.strip().casefold(), (None, 0.0))
     if latitude_deg is None and town.strip():
         latitude_deg = _number("town", town, "a town of the list, or its latitude in deg")
     height_m = _number("height", height, "metres above the sea") if height.strip() else height_m
@@ -79,18 +76,3 @@ def _number(name: str, entry: str, wanted: str) -> float:
         return float(entry.replace(",", "."))
     except ValueError as error:
         raise InputError(f"{name}: expected {wanted}, got '{entry.strip()}'. Correct the entry.") from error
-
-
-def place_form(bench: "Bench", label: str, then: Callable[[], Any] = bool) -> None:
-    """Ask for the location of the bench. The accelerometer scale cannot be more accurate than local gravity."""
-    place = bench.place
-    values = place.latitude_deg, place.height_m, place.stated_m_s2
-    latitude, height, gravity = ("" if value is None else f"{value:g}" for value in values)
-    typed = PlaceForm(town=latitude, height=height if latitude else "", gravity=gravity)
-    parts.form(typed, "town", "height", "gravity")
-
-    def keep() -> Any:
-        bench.set_place(place_of(typed.town, typed.height, typed.gravity))
-        return then()
-
-    parts.button(label, keep)

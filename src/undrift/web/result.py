@@ -1,103 +1,110 @@
-"""Results, on the page Calibrate: verdict and findings, the report and the certificate."""
+"""A report as the page shows it: answer, verdict, findings, tables, figures and files. It is kept as JSON."""
 
-from collections.abc import Mapping
-from functools import partial
-from typing import TYPE_CHECKING
+from base64 import b64encode
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 from nicegui import ui
 
-from undrift.base.options import stated
-from undrift.commands.certificate import Statement
-from undrift.errors import InputError
-from undrift.web import entries, parts
-from undrift.web.commands import remarks_of
-from undrift.web.place import place_form
+from undrift.findings import SHOWN_FIRST
+from undrift.report.figures import svg_of
+from undrift.report.report import Drawing, Report, Table
 
-if TYPE_CHECKING:
-    from undrift.commands.bench.library import Job
-    from undrift.web.bench import Bench, Visit
+SIGNS = {"fail": ("error", "Failed"), "warn": ("warning", "Warning"), "info": ("info", "Note")}  # icon, and in words
 
 
-def page(visit: "Visit") -> None:
-    """Build the page."""
-    parts.redrawn(lambda: _state(visit), lambda: _shown(visit))
-    entries.listing("Results", lambda: visit.library.jobs, lambda: visit.job, partial(setattr, visit, "shown"))
+def shown_of(report: Report, plain: Callable[[str], str]) -> dict[str, Any]:
+    """Return what the page shows of a report. ``plain`` words its texts for the page."""
+
+    def drawn(figure: Drawing | None) -> str:
+        return "" if figure is None else b64encode(svg_of(figure()).encode()).decode()
+
+    def tables(several: Sequence[Table]) -> list[dict[str, Any]]:
+        return [
+            {
+                "title": table.title, "columns": list(table.columns), "note": plain(table.note),
+                "cells": table.cells, "figure": drawn(table.figure),
+            }
+            for table in several if table.rows or table.note or table.figure
+        ]  # fmt: skip
+
+    return {
+        "title": plain(report.title),
+        "answer": plain(report.answer),
+        "verdict": report.status if report.verdict_shown else "",
+        "findings": [(item.level, plain(item.sentence), plain(item.action)) for item in report.ordered_findings],
+        "figures": [drawn(figure) for figure in report.figures],
+        "tables": tables(report.tables),
+        "details": tables(report.details),
+        "notes": [plain(note) for note in report.notes],
+        "files": [path.name for path in report.written],
+    }
 
 
-def _state(visit: "Visit") -> tuple[object, ...]:
-    job = visit.job
-    if job is None:
-        return ()
-    return job.folder, id(job.answer), job.certificate, job.error, len(job.later), visit.calibration
+def show(shown: dict[str, Any], link: Callable[[str], str]) -> None:
+    """Show a report. ``link`` returns the address of a file."""
+    section = ui.element("section").classes(f"result {shown['verdict']}")
+    section.props["aria-label"] = shown["title"]
+    with section:
+        ui.label(shown["title"]).classes("soft")
+        ui.label(shown["answer"]).classes("answer")
+        if shown["verdict"]:
+            ui.label(f"Verdict: {shown['verdict']}").classes("verdict")
+        show_findings(shown["findings"])
+        with ui.row():
+            for name in shown["files"]:
+                opened = name.endswith(".html")
+                label = "Open the report" if opened else f"Download {name}"
+                ui.link(label, link(name) + ("" if opened else "?download=1"), new_tab=opened)
+        _show_figures(shown["figures"][:1], shown["title"])
+        _show_tables(shown["tables"])
+        _show_figures(shown["figures"][1:], shown["title"])
+        if shown["details"] or shown["notes"]:
+            with ui.expansion("Details"):
+                _show_tables(shown["details"])
+                for note in shown["notes"]:
+                    ui.label(note)
 
 
-def _shown(visit: "Visit") -> None:
-    job = visit.job
-    if job is None or job.calibration is None:
-        parts.text("p", "No calibration yet. Record six faces, or drop a recording.")
-        parts.next_step("Get readings", "/")
-    else:
-        _result(visit, job)
+def show_findings(findings: Sequence[Sequence[str]]) -> None:
+    """Show findings with their actions. The less consequential ones are folded."""
+    first = max(SHOWN_FIRST, sum(level == "fail" for level, *_ in findings))
+    _list(findings[:first])
+    if len(findings) > first:
+        with ui.expansion(f"{len(findings) - first} more findings"):
+            _list(findings[first:])
 
 
-def _result(visit: "Visit", job: "Job") -> None:
-    bench = visit.bench
-    status = (job.answer.get("verdict") or {}).get("status", "")
-    with parts.section("Verdict", f"verdict {status}"):
-        parts.text("h2", f"Verdict: {status or 'unknown'}")
-        parts.text("p", f"Device {job.answer.get('device') or job.serial or 'without a serial number'}")
-        if job.lacks:
-            why = "their readings stay uncorrected. Readings in counts are left out."
-            parts.text("p", f"It lacks the {' and '.join(job.lacks)}: {why}", "lacks")
-        parts.remarks_list(remarks_of({**job.answer, "later": job.later}))
-    parts.refused(visit, job, job.error)
-    if job.gravity_assumed:
-        _gravity(visit, job)
-    parts.next_step("Correct recordings", "/use")
-    with parts.row():
-        for label, path in (("calibration", job.calibration), ("report", job.report)):
-            if path is not None and path.exists():
-                ui.link(f"Download {label}", bench.link(path) + "?download=1")
-        if job.certificate is not None:
-            ui.link("Open the certificate", bench.link(job.certificate), new_tab=True)
-        if visit.calibration == job.calibration:
-            parts.text("p", "Files are corrected with this calibration.", "soft")
-        else:
-            without = f", without {' and '.join(job.lacks)}" if job.lacks else ""
-            use = partial(setattr, visit, "calibration", job.calibration)
-            parts.button(f"Use it for files{without}", use)
-    with parts.folded("Certificate"):
-        parts.settings_form(Statement, visit.statement)
-        parts.button("Make the certificate", lambda: certify(bench, job, visit.statement))
-    if job.report is not None and job.report.exists():
-        parts.text("h2", "Report")
-        frame = ui.element("iframe").classes("report").props('title="Report of the calibration" tabindex="0"')
-        frame.props["src"] = bench.link(job.report)
+def _list(findings: Iterable[Sequence[str]]) -> None:
+    for level, sentence, action in findings:
+        icon, name = SIGNS[level]
+        with ui.row(wrap=False).classes(f"finding {level}"):
+            ui.icon(icon).props('aria-hidden="true"')
+            with ui.element("div"):
+                ui.label(f"{name}: {sentence}")
+                if action:
+                    ui.label(action).classes("soft")
 
 
-def _gravity(visit: "Visit", job: "Job") -> None:
-    """Ask for gravity: the scale of the accelerometers is known no better."""
+def _show_tables(tables: Iterable[dict[str, Any]]) -> None:
+    for table in tables:
+        ui.label(table["title"]).classes("heading").props('role="heading" aria-level="3"')
+        if table["cells"]:
+            heads = [
+                {"name": f"c{k}", "label": head, "field": f"c{k}", "align": "right" if k else "left"}
+                for k, head in enumerate(table["columns"])
+            ]
+            rows = [{"id": n} | {f"c{k}": cell for k, cell in enumerate(row)} for n, row in enumerate(table["cells"])]
+            scroll = ui.element("div").classes("scroll").props('tabindex="0" role="region"')
+            scroll.props["aria-label"] = table["title"]
+            with scroll:
+                ui.table(columns=heads, rows=rows, row_key="id").props("dense flat hide-bottom")
+        if table["note"]:
+            ui.label(table["note"])
+        _show_figures([table["figure"]], table["title"])
 
-    async def again() -> None:
-        if not visit.bench.place.words():
-            raise InputError("gravity: enter a town, a latitude or local gravity.")
-        await visit.calibrate(job, *job.words)
 
-    with parts.section("Gravity", "card"):
-        parts.text("h2", "Where was it recorded?")
-        parts.says("gravity")
-        if job.words:
-            place_form(visit.bench, "Calibrate with this gravity", again)
-        else:
-            parts.text("p", "State the place on the first page, then calibrate again.")
-
-
-async def certify(bench: "Bench", job: "Job", statement: Mapping[str, str]) -> None:
-    """Write the certificate with the entries of the laboratory."""
-    path = job.folder / "certificate.html"
-    options = stated(**{name: text.strip() for name, text in statement.items()})
-    outcome = await bench.command("certificate", job.calibration, "-o", path, *options)
-    job.error, job.later = outcome.error, [*job.later, outcome.answer]
-    if outcome.done:
-        job.certificate = path
-    job.save()
+def _show_figures(figures: Iterable[str], title: str) -> None:
+    for figure in filter(None, figures):
+        image = ui.element("img").classes("figure")
+        image.props["alt"], image.props["src"] = title, f"data:image/svg+xml;base64,{figure}"

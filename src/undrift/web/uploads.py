@@ -16,7 +16,6 @@ from undrift.errors import InputError
 KEPT = frozenset(" ._-+=,@()")  # characters allowed in a name, in addition to letters, marks and digits of any script
 LONGEST = 200  # longest name, bytes in UTF-8 (file systems accept 255, and results add a suffix)
 ENDING = re.compile(r"(\.[A-Za-z0-9]{1,8})?\.gz$|\.[A-Za-z0-9]{1,8}$|$", re.I)
-GROUP = re.compile(r"\d{1,20}")
 RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)", re.I)  # names that Windows gives to devices
 _NAMES = (
     "csv txt tsv parquet json toml mat h5 hdf5 c3d trc xdf ulg bag db3 "
@@ -26,10 +25,8 @@ ENDINGS = tuple(f".{name}" for name in _NAMES.split())  # of recordings, referen
 
 
 async def receive_upload(request: Request, folder: Path, largest_mb: float) -> Path:
-    """Store the body of ``POST /upload?name=walk.csv`` and return the file. Raise InputError for a refused file, which
-    is not kept.
-
-    Files that are uploaded together, with ``group=NUMBER`` and ``folder=walk``, are stored in a folder of that name.
+    """Store the body of ``POST /upload?name=walk.csv`` in a folder of its own, and return the file. Raise InputError
+    for a refused file, which is not kept.
     """
     name = safe_name(request.query_params.get("name", ""), "recording")
     if Path(name).suffix.lower() not in ENDINGS:
@@ -40,15 +37,9 @@ async def receive_upload(request: Request, folder: Path, largest_mb: float) -> P
     length = request.headers.get("content-length", "")
     if length.isdigit() and int(length) > largest:
         raise InputError(_too_large(name, largest_mb))
-    group, together = request.query_params.get("group", ""), request.query_params.get("folder", "")
-    if group and not GROUP.fullmatch(group):
-        raise InputError("upload: the group must be a number of up to 20 digits. Send the files again.")
-    # names may repeat
-    place = folder / group / safe_name(together, "files") if group else folder / secrets.token_hex(6)
+    place = folder / secrets.token_hex(6)  # names may repeat
     path, arriving, came = place / name, place / "sent.part", 0
-    if path.exists():
-        raise InputError(f"upload: {name} was sent twice. Rename one of the files.")
-    place.mkdir(parents=bool(group), exist_ok=bool(group))
+    place.mkdir(parents=True)
     try:
         with arriving.open("xb") as file:
             async for piece in request.stream():
@@ -61,8 +52,7 @@ async def receive_upload(request: Request, folder: Path, largest_mb: float) -> P
         arriving.replace(path)
     except BaseException as error:
         arriving.unlink(missing_ok=True)
-        if not any(place.iterdir()):
-            place.rmdir()
+        place.rmdir()
         if isinstance(error, ClientDisconnect):
             raise InputError(f"upload: {name} is incomplete, got {came} bytes. Send it again.") from error
         raise

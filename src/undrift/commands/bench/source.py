@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.errors import InputError, UndriftError
+from undrift.errors import InputError, LinkError, UndriftError
 from undrift.io.text import Appender
 from undrift.live.log import described_address
 from undrift.live.recorder import Recorder, RecorderSettings
-from undrift.live.transports import source_at
+from undrift.live.transports import lsl_streams, serial_ports, source_at
 from undrift.record import Record, joined
 
 if TYPE_CHECKING:
@@ -54,6 +54,17 @@ class Status:
 def listened(address: str) -> str:
     """Return an address with the format of the device's data, which is determined by listening if necessary."""
     return described_address(address)[0]
+
+
+def found_devices() -> tuple[list[tuple[str, str]], list[str]]:
+    """Return the addresses of serial ports and LSL streams with their names, and why some could not be searched."""
+    found, notes = list[tuple[str, str]](), list[str]()
+    for kind, listed in (("serial://", serial_ports), ("lsl:", lsl_streams)):
+        try:
+            found += [(kind + name, text) for name, text in listed()]
+        except LinkError as error:
+            notes.append(str(error))
+    return found, notes
 
 
 class LiveDevice:

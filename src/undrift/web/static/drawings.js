@@ -11,13 +11,6 @@ const SHAPES = {  // of the light: the colour is never the only sign
   tilted: ["marginal", '<path d="M5 40 h38 M8 38 L40 22" stroke="C" stroke-width="5"/>'],
   "unknown face": ["marginal", '<path d="M16 16 a8 8 0 1 1 9 9 v6 M25 39 v2" stroke="C" stroke-width="5"/>'],
 };
-const STANDING =  // a person who stands and faces right, seen from the right; the device is at the low back
-  '<circle cx="-62" cy="-88" r="13"/><path d="M-62 -75 C-74 -50 -66 -30 -72 -8 L-60 38 L-66 88 h22 M-62 -70 q14 26 8 48 l14 16"/>' +
-  '<path d="M-50 -90 l6 3" /><rect x="-83" y="-28" width="9" height="18" fill="currentColor"/>' +
-  '<path d="M-70 -19 L22 -8" stroke-dasharray="3 5"/>';
-const BODY = { forward: [1, 0], left: [0.5, -0.5], up: [0, -1] };  // on the screen; left is away from the viewer
-const OTHER = { forward: "back", left: "right", up: "down" };
-
 const path = (points) => "M" + points.map(([x, y]) => `${x.toFixed(1)} ${y.toFixed(1)}`).join(" L");
 const picture = (box, words, width, drawn) => `<svg class="device" viewBox="${box}" role="img" aria-label="${words}"><g fill="none"
   stroke="currentColor" stroke-width="${width}" stroke-linejoin="round" stroke-linecap="round">${drawn}</g></svg>`;
@@ -66,27 +59,6 @@ function box(face, turn = "") {
   return picture("-115 -125 230 210", `Box with ${face} up${turned}`, 2, drawn.join(""));
 }
 
-// Where each axis of a right-handed device points; none where the two sides do not show it.
-function ways(forward, up) {
-  if (!forward || !up || forward[1] === up[1]) return [];
-  const k = "xyz".indexOf(up[1]), m = "xyz".indexOf(forward[1]);
-  const sign = (up[0] === forward[0] ? 1 : -1) * ((m - k + 3) % 3 === 1 ? 1 : -1);  // left = up x forward
-  const sides = { [forward[1]]: ["forward", forward[0] === "+" ? 1 : -1], [up[1]]: ["up", up[0] === "+" ? 1 : -1], ["xyz"[3 - k - m]]: ["left", sign] };
-  return Object.entries(sides).sort();
-}
-
-// A standing person with the device, and where its axes point by the sides that point forward and up.
-function worn(forward, up) {
-  const drawn = [STANDING, '<path d="M25 -15 L43 -15 L43 25 L25 25 Z" fill="currentColor" fill-opacity="0.14"/>'], words = [], [x0, y0] = [34, 5];
-  for (const [axis, [way, sign]] of ways(forward, up)) {
-    const [dx, dy] = BODY[way].map((part) => sign * 52 * part), tip = [x0 + dx, y0 + dy], [one, other] = arrowhead([x0, y0], tip, 11, 0.5);
-    drawn.push(`<path class="act" d="${path([[x0, y0], tip])} ${path([one, tip, other])}"/>`);
-    drawn.push(`<text x="${(x0 + 1.28 * dx).toFixed(0)}" y="${(y0 + 1.28 * dy + 6).toFixed(0)}">${axis}</text>`);
-    words.push(`${axis} points ${sign > 0 ? way : OTHER[way]}`);
-  }
-  return picture("-115 -108 230 205", `Device at the low back of a standing person${words.length ? ": " : ""}${words.join(", ")}`, 2.5, drawn.join(""));
-}
-
 function lamp(state) {
   const [colour, shape] = SHAPES[state];
   return `<svg class="lamp" viewBox="0 0 48 48" aria-hidden="true">${shape.replaceAll("C", `var(--${colour})`)}</svg>`;
@@ -100,55 +72,12 @@ function ring(left, whole) {
     stroke-dasharray="${(around * share).toFixed(1)} ${around.toFixed(1)}"/><text x="50" y="63">${Math.ceil(left)}</text></svg>`;
 }
 
-const plain = (words) => String(words).replace(/[&<>"]/g, (c) => `&#${c.charCodeAt(0)};`);
-const table = (caption, head, rows) => `<div class="scroll" tabindex="0" role="region" aria-label="${caption}"><table><caption>${caption}</caption>${head}<tbody>${
-  rows.map(([name, cells]) => `<tr><th scope="row">${plain(name)}</th>${cells.map((cell) => `<td>${cell}</td>`).join("")}</tr>`).join("")}</tbody></table></div>`;
-
-// Means of three axes with their unit, each [name, values or null, unit].
-const readings = (...rows) => table("Readings now", "", rows.map(([name, values, unit]) =>
-  [name, [..."xyz"].map((axis, k) => `${axis} ${values ? Number(values[k].toPrecision(4)) : "-"}`).concat(plain(unit))]));
-
-const DRAWINGS = { box, worn, lamp, ring, readings };
+const DRAWINGS = { box, lamp, ring };
 customElements.define("undrift-drawing", class extends HTMLElement {
   static observedAttributes = ["kind", "what"];
   connectedCallback() { this.attributeChangedCallback(); }
   attributeChangedCallback() {
     const what = this.getAttribute("what");
     if (this.getAttribute("kind") && what) this.innerHTML = DRAWINGS[this.getAttribute("kind")](...JSON.parse(what));
-  }
-});
-
-const pressed = (words, act, down) => {
-  const button = document.createElement("button");
-  Object.assign(button, { type: "button", textContent: words, ariaPressed: String(down) });
-  button.addEventListener("click", (event) => { if (event.detail < 2) act(); });  // the second click of a double click would undo the first
-  return button;
-};
-
-// A list of files or jobs, each [key, name, about, chosen]: it sends "choose" with the key.
-customElements.define("undrift-list", class extends HTMLElement {
-  static observedAttributes = ["what"];
-  attributeChangedCallback() {
-    const rows = JSON.parse(this.getAttribute("what") || "[]"), shown = 20;
-    this.replaceChildren();
-    if (!rows.length) return;
-    const heading = document.createElement("h2"), more = document.createElement("details"), summary = document.createElement("summary");
-    heading.textContent = this.getAttribute("label");
-    summary.textContent = `${rows.length - shown} more`;
-    this.append(heading, this.rows(rows.slice(0, shown)));
-    if (rows.length > shown) more.append(summary, this.rows(rows.slice(shown))), this.append(more);
-  }
-  rows(rows) {
-    const list = document.createElement("ul");
-    list.className = "bench-list";
-    for (const [key, name, about, chosen] of rows) {
-      const item = document.createElement("li"), words = document.createElement("span");
-      Object.assign(words, { className: "soft", textContent: about });
-      const choose = pressed(name, () => this.dispatchEvent(new CustomEvent("choose", { detail: key })), chosen);
-      choose.className = "choose";
-      item.append(choose, words);
-      list.append(item);
-    }
-    return list;
   }
 });

@@ -1,12 +1,17 @@
-"""``undrift bench``: the guided bench in a browser."""
+"""``undrift bench``: the guided page in a browser."""
 
 import secrets
 import sys
+import webbrowser
+from contextlib import suppress
 from pathlib import Path
 
-from undrift.base.options import Flag, Json
-from undrift.cli.common import say, write_json
+from undrift.base.options import Flag
 from undrift.errors import InputError
+from undrift.files import data_folder
+from undrift.report import Report
+
+LEAST_TOKEN = 16  # characters
 
 
 def bench(
@@ -15,11 +20,8 @@ def bench(
     port: int = 8765,
     token: str = "",
     upload_mb: float = 500.0,
-    practice_seed: int | None = None,
-    practice_speed: float = 1.0,
     no_browser: Flag = False,
-    json: Json = False,
-) -> int:
+) -> Report:
     """Calibrate a device step by step in a browser: six faces, turns by hand, recordings. Then correct and orient.
 
     Parameters
@@ -32,25 +34,19 @@ def bench(
         Access token, at least 16 characters. Default: generated and included in the printed address. "none" disables it.
     upload_mb : float
         Largest file that is accepted, MB.
-    practice_seed : int or None
-        Seed of the practice device. The same seed gives the same device.
-    practice_speed : float
-        Speed of the practice device, times real time.
     no_browser : bool
         Do not open a browser.
     """
     try:
-        from undrift.web.app import serve
+        from undrift.web import app
+        from undrift.web.bench import ServerSettings
     except ImportError as error:
         raise InputError(
             f"bench: the package nicegui is missing ({error.name}). Run pip install 'undrift[bench]'."
         ) from error
-    from undrift.files import data_folder
-    from undrift.web.bench import ServerSettings
-
-    if token not in ("", "none") and len(token) < 16:
+    if token not in ("", "none") and len(token) < LEAST_TOKEN:
         raise InputError(
-            f"--token: expected 16 characters or more, got {len(token)}. Omit --token to create a new token."
+            f"--token: expected {LEAST_TOKEN} characters or more, got {len(token)}. Omit --token to create a new token."
         )
     if not 0 <= port <= 65535:
         raise InputError(f"--port: expected 0 to 65535, got {port}. Use 0 for a free port.")
@@ -58,25 +54,15 @@ def bench(
         raise InputError(
             f"--upload-mb: expected more than 0, got {upload_mb:g}. Enter the size of the largest file in MB."
         )
-    settings = ServerSettings(
-        folder=(folder or data_folder() / "bench").absolute(),
-        port=port,
-        token=None if token == "none" else token or secrets.token_urlsafe(24),
-        upload_mb=upload_mb,
-        practice_seed=practice_seed,
-        practice_speed=practice_speed,
-    )
+    place = (folder or data_folder() / "bench").absolute()
+    secret = None if token == "none" else token or secrets.token_urlsafe(24)
 
     def ready(address: str) -> None:
-        if json:
-            write_json({"address": address, "folder": str(settings.folder)}, "bench")
-        else:
-            say(f"undrift bench: {address}", f"It writes to {settings.folder}. Ctrl-C ends it.")
+        sys.stdout.write(f"undrift bench: {address} (files in {place}, Ctrl-C ends it)\n")
         sys.stdout.flush()
         if not no_browser:
-            import webbrowser
-
             webbrowser.open(address)
 
-    serve(settings, ready)
-    return 0
+    with suppress(KeyboardInterrupt):
+        app.serve(ServerSettings(folder=place, port=port, token=secret, upload_mb=upload_mb), ready)
+    return Report(title="Bench", answer="The bench has ended.", data={"folder": str(place)})

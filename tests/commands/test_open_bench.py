@@ -1,6 +1,6 @@
 """``undrift bench``: calls that are refused; the pages have tests of their own (tests/web, tests/web_browser)."""
 
-import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -28,14 +28,16 @@ def test_a_call_that_would_open_the_bench_by_mistake_is_refused(
 
 @pytest.mark.slow
 def test_a_port_in_use_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    called = [sys.executable, "-m", "undrift", "bench", "--port", "0", "--no-browser", "--json"]
+    called = [sys.executable, "-m", "undrift", "bench", "--port", "0", "--no-browser", "--token", "none"]
     with subprocess.Popen(
         [*called, "--folder", tmp_path / "bench"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     ) as server:
         assert server.stdout is not None
-        port = json.loads(server.stdout.readline())["address"].split(":")[2].partition("/")[0]
+        port = re.findall(r":(\d+)/", server.stdout.readline())[0]
         try:
             assert run(["bench", "--folder", str(tmp_path / "other"), "--port", port, "--no-browser"]) == 2
         finally:
             server.terminate()
-    assert f"bench: cannot listen at 127.0.0.1:{port}(Address already in use)" in capsys.readouterr().err
+            assert "The bench has ended." in server.stdout.read()
+            assert server.wait(20.0) == 0
+    assert f"bench: cannot listen at 127.0.0.1:{port} (Address already in use)" in capsys.readouterr().err

@@ -1,0 +1,138 @@
+"""Files and guided recordings in the folder of a bench. Each has a folder of its own, with its results.
+
+::
+
+    uploads/NAME/    a file that was sent
+    jobs/NAME/       a guided recording: the folder session
+        .bench.json          what is known about it
+        map.toml             columns and units, if a person confirmed them
+        calibration.json     and other results, each with .COMMAND.json for the page and COMMAND.html
+
+Every file is written in a single step, so that a bench that is killed loses nothing. Only one bench can use a folder.
+"""
+
+import json
+import shutil
+from contextlib import suppress
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import IO, Any
+
+from undrift.commands.bench.look import Looked
+from undrift.commands.files import Opening
+from undrift.errors import InputError
+from undrift.files import take_lock, write_whole
+
+ABOUT, LOCK = ".bench.json", ".lock"  # no upload is called so
+MAP, CALIBRATION = "map.toml", "calibration.json"
+COMMANDS = ("calibrate", "certificate", "correct", "orient")
+SAVED = ("kind", "summary", "serial", "sample_rate_hz", "sensor", "turn_deg", "draft")
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class Item:
+    """A file, a folder of files that are one recording, or a guided recording."""
+
+    folder: Path
+    path: Path
+    kind: str = ""  # recording, calibration, table, session ...; "" if it was not read yet
+    summary: str = ""
+    serial: str = ""
+    sample_rate_hz: float | None = None  # of a file without time
+    sensor: str | None = None  # of a file with several sensors
+    turn_deg: float | None = None  # angle of the turns of a recording
+    draft: dict[str, Any] = field(default_factory=dict)  # map that is proposed, with "?" for what nothing shows
+    looked: Looked | None = None  # content, once it was read
+    results: dict[str, Any] = field(default_factory=dict)  # by command, as result.py shows them
+
+    @property
+    def name(self) -> str:
+        """Return the display name."""
+        return f"Recording of {self.serial}" if self.kind == "session" else self.path.name
+
+    @property
+    def opening(self) -> Opening:
+        """Return how commands read it."""
+        mapped = self.folder / MAP
+        column_map = mapped if mapped.is_file() else None
+        return Opening(column_map=column_map, sample_rate_hz=self.sample_rate_hz, sensor=self.sensor)
+
+    @property
+    def calibration(self) -> Path | None:
+        """Return the calibration that it is, or that was made of it."""
+        path = self.path if self.kind == "calibration" else self.folder / CALIBRATION
+        return path if path.is_file() else None
+
+    @property
+    def arrival(self) -> str:
+        """Return the date and time at which it came."""
+        return f"{datetime.fromtimestamp(self.folder.stat().st_ctime):%Y-%m-%d %H:%M}" if self.folder.is_dir() else ""
+
+    def save(self) -> None:
+        """Save what is known about it."""
+        values = {name: getattr(self, name) for name in SAVED}
+        write_whole(self.folder / ABOUT, json.dumps(values | {"file": self.path.name}) + "\n")
+
+    def keep(self, command: str, shown: dict[str, Any]) -> None:
+        """Save the result of a command."""
+        self.results[command] = shown
+        write_whole(self.folder / f".{command}.json", json.dumps(shown))
+
+    def discard(self, command: str) -> None:
+        """Remove an earlier result."""
+        self.results.pop(command, None)
+        (self.folder / f".{command}.json").unlink(missing_ok=True)
+
+
+def items_in(folder: Path) -> list[Item]:
+    """Return the items of a bench's folder, the newest first. Incomplete uploads are deleted."""
+    for group in ("uploads", "jobs"):
+        (folder / group).mkdir(parents=True, exist_ok=True)
+    places = [place for group in ("uploads", "jobs") for place in (folder / group).iterdir() if place.is_dir()]
+    found = [item for place in places if (item := _item_in(place)) is not None]
+    return sorted(found, key=lambda item: (item.folder / ABOUT).stat().st_ctime, reverse=True)
+
+
+def _item_in(place: Path) -> Item | None:
+    for part in place.glob("**/sent.part"):
+        part.unlink()
+    about = read_object(place / ABOUT)
+    name = about.get("file") or next((path.name for path in place.iterdir() if not path.name.startswith(".")), "")
+    if not name or not (place / str(name)).exists():
+        shutil.rmtree(place, ignore_errors=True)
+        return None
+    item = Item(folder=place, path=place / str(name))
+    for key in SAVED:
+        with suppress(KeyError):
+            setattr(item, key, about[key])
+    item.results = {command: result for command in COMMANDS if (result := read_object(place / f".{command}.json"))}
+    if not about:
+        item.save()
+    return item
+
+
+def read_object(path: Path) -> dict[str, Any]:
+    """Return the content of a JSON file, or nothing if it cannot be read."""
+    try:
+        value = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return value if isinstance(value, dict) else {}
+
+
+def lock_folder(folder: Path) -> IO[str]:
+    """Lock a folder until the file is closed or its process ends. The error about another bench contains its address."""
+    folder.mkdir(parents=True, exist_ok=True)
+    lock = (folder / LOCK).open("a+", encoding="utf-8")
+    try:
+        take_lock(lock.fileno())
+    except OSError as error:
+        lock.seek(0)
+        other = lock.read().strip()
+        lock.close()
+        raise InputError(
+            f"bench: {folder} is in use by the bench at {other}. Open that bench, or choose another folder."
+        ) from error
+    lock.truncate(0)
+    return lock

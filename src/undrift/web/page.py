@@ -1,0 +1,472 @@
+"""The page: Readings, Check, Calibrate, Use. Each step shows what the folder of the bench holds."""
+
+import logging
+from collections.abc import Awaitable, Callable
+from functools import partial
+from inspect import isawaitable
+from pathlib import Path
+from typing import Any
+
+from nicegui import events, ui
+
+from undrift.commands.bench.look import found_in, proof_of
+from undrift.commands.certificate import Statement
+from undrift.errors import InputError, UndriftError
+from undrift.record import FACES
+from undrift.web.bench import PRACTICE, Bench
+from undrift.web.chart import chart_of
+from undrift.web.guided import guide_part, progress_part
+from undrift.web.items import MAP, Item
+from undrift.web.place import place_of, towns
+from undrift.web.result import show, show_findings
+
+REFRESH_S = 0.25
+ITEMS = 20  # that are listed first
+ADDRESSES = {
+    "serial:///dev/ttyUSB0": "a board that prints lines with names on a serial port",
+    "udp://:5555": "a device or phone that sends lines over the network",
+    "tcp://192.168.0.50:9000": "a device that listens on the network",
+    "lsl:NAME": "a stream of the Lab Streaming Layer",
+}
+UNITS = {
+    "gyro": ("rad/s", "dps", "count", "v"),
+    "accel": ("m/s2", "g", "mg", "count", "v"),
+    "time": ("s", "ms", "us", "date"),
+}
+SENSORS = {"gyro": "gyroscopes", "accel": "accelerometers", "time": "time"}
+WALKED = "Each face must rest for some seconds. Gyroscopes also need full turns between rests."
+OFFSETS = {
+    "none": "Nothing",
+    "rest": "The mean of the first rest",
+    "motion": "What gravity shows while the device moves, for 20 s or more",
+}
+CHOOSER = """<div class="row items-center q-pa-xs"><q-btn flat no-caps icon="add" label="Choose files" @click="props.pickFiles" />
+<span>or drop them here</span><div aria-hidden="true" class="picker"><q-uploader-add-trigger /></div></div>"""
+LOG = logging.getLogger("undrift.bench")
+Handler = Callable[[], Awaitable[None] | None]
+
+
+def build(bench: Bench) -> None:
+    """Build the page for a browser."""
+    ui.add_head_html(
+        '<link rel="stylesheet" href="/static/bench.css"><script src="/static/drawings.js" defer></script>'
+    )
+    ui.colors(primary="#1f5fa8")
+    with ui.header().classes("head"):
+        ui.label("undrift bench").classes("name").props('role="heading" aria-level="1"')
+        device = ui.label().props('role="status"')
+    with ui.element("main"):
+        steps(bench)
+    with ui.footer().classes("work") as footer:
+        task = ui.label().props('role="status"')
+        bar = ui.linear_progress(show_value=False).props('aria-label="Completed share"')
+        ui.button("Cancel", on_click=lambda: cancel(bench)).props("flat no-caps")
+
+    def look() -> None:
+        source, work = bench.source, bench.work
+        device.text = f"Device: {source.name}" if source is not None else "No device connected"
+        footer.set_visibility(work is not None)
+        if work is not None:
+            task.text, bar.value = bench.plain(work.text), work.share
+
+    look()
+    ui.timer(REFRESH_S, look)
+
+
+def cancel(bench: Bench) -> None:
+    """Cancel the running command."""
+    if bench.work is not None:
+        bench.work.cancelled = True
+
+
+def steps(bench: Bench) -> None:
+    """Add the four steps. They are drawn again whenever the bench changes, in this browser or another."""
+    version = bench.version
+
+    @ui.refreshable
+    def draw() -> None:
+        with ui.stepper(value=bench.step, on_value_change=lambda event: bench.go(event.value)) as stepper:
+            stepper.props("vertical header-nav flat")
+            for number, (name, (title, content)) in enumerate(STEPS.items(), 1):
+                with ui.step(name, title).props(f'prefix={number} active-icon="expand_more"'):
+                    if name == bench.step:
+                        content(bench)
+
+    def look() -> None:
+        nonlocal version
+        if version != bench.version:
+            version = bench.version
+            draw.refresh()
+
+    draw()
+    ui.timer(REFRESH_S, look)
+
+
+def action(bench: Bench, label: str, handler: Handler, *, main: bool = False) -> None:
+    """Add a button. An error of its handler appears next to it, and stays until the button is pressed again."""
+    with ui.row().classes("action"):
+        button = ui.button(label).props("no-caps unelevated" if main else "no-caps outline")
+        button.set_enabled(bench.work is None)
+        ui.label(bench.errors.get(label, "")).classes("error").props('role="alert"')
+
+    async def act() -> None:
+        button.disable()
+        bench.errors.pop(label, None)
+        try:
+            waited = handler()
+            if isawaitable(waited):
+                await waited
+        except (UndriftError, OSError) as error:
+            bench.errors[label] = bench.plain(str(error))
+        except Exception as error:  # a bug must not leave a page without an answer
+            LOG.exception("bench")
+            bench.errors[label] = f"Internal error: {type(error).__name__}: {error}. Please report it."
+        bench.changed()
+
+    button.on_click(act)
+
+
+def field(label: str, holder: Any, name: str, *, hint: str = "", proposals: Any = None) -> None:
+    """Add an input that is stored in a dictionary or an object as it is typed."""
+    entry = ui.input(label, autocomplete=proposals).classes("field")
+    entry.bind_value(holder, name, forward=lambda text: text or "", backward=lambda text: text or "")
+    if hint:
+        entry.props["hint"] = hint
+
+
+def number(label: str, item: Item, name: str) -> None:
+    """Add an input for a number of an item."""
+    ui.number(label, value=getattr(item, name), on_change=lambda event: setattr(item, name, event.value)).classes(
+        "field"
+    )
+
+
+def choice(label: str, options: Any, holder: Any, name: Any) -> None:
+    """Add a choice that is stored in a dictionary or a list."""
+
+    def keep(event: events.ValueChangeEventArguments[Any]) -> None:
+        holder[name] = event.value
+
+    ui.select(options, label=label, value=holder[name], on_change=keep).classes("field")
+
+
+# ---- Readings
+
+
+def readings_step(bench: Bench) -> None:
+    """Add the three doors, and the files and recordings so far."""
+    with ui.element("div").classes("doors"):
+        with ui.card():
+            ui.label("Drop files").classes("heading")
+            ui.label("A phone's ZIP, a log, a recording, or a calibration. They stay on this computer.")
+            uploader(bench)
+        with ui.card():
+            ui.label("Connect a device").classes("heading")
+            action(bench, "Look for devices", bench.search)
+            for address, about in bench.found:
+                action(bench, f"Connect {address}", partial(bench.connect, address))
+                ui.label(about).classes("soft")
+            field("Address", bench.typed, "address", proposals=list(ADDRESSES))
+            action(bench, "Connect", lambda: connect(bench))
+            with ui.expansion("How to write an address"):
+                for address, about in ADDRESSES.items():
+                    ui.label(f"{address}: {about}")
+        with ui.card():
+            ui.label("Practice device").classes("heading")
+            ui.label("A simulated device. It shows the whole way, from the six faces to a certificate.")
+            action(bench, "Use the practice device", lambda: bench.connect(PRACTICE))
+    if bench.items:
+        ui.label("Files and recordings").classes("heading")
+        item_list(bench, bench.items[:ITEMS])
+        if len(bench.items) > ITEMS:
+            with ui.expansion(f"{len(bench.items) - ITEMS} more"):
+                item_list(bench, bench.items[ITEMS:])
+
+
+async def connect(bench: Bench) -> None:
+    """Connect the device of the address that was typed."""
+    if not (bench.typed["address"] or "").strip():
+        raise InputError("Enter the address of the device, or look for devices.")
+    await bench.connect(bench.typed["address"])
+
+
+def item_list(bench: Bench, items: list[Item]) -> None:
+    """List items. A click chooses one."""
+    with ui.list().props("bordered separator"):
+        for item in items:
+            with ui.item(on_click=lambda item=item: bench.choose(item)), ui.item_section():
+                ui.item_label(item.name)
+                ui.item_label(f"{item.summary} ({item.arrival})").props("caption").classes("soft")
+
+
+def uploader(bench: Bench) -> None:
+    """Add the area for files. The browser sends each to /upload, which limits size and name."""
+    element = ui.element("q-uploader").props("multiple auto-upload flat bordered")
+    element.add_slot("header", CHOOSER)
+    element.props[":url"] = "files => '/upload?name=' + encodeURIComponent(files[0].name)"
+    element.props["send-raw"] = True
+    answer = "(info) => emit((() => { try { return JSON.parse(info.xhr.responseText) } catch { return {} } })())"
+    error = ui.label(bench.errors.get("upload", "")).classes("error").props('role="alert"')
+    arrived = list[Path]()
+
+    def sent(event: events.GenericEventArguments) -> None:
+        arrived.append(bench.inside(str(event.args["file"])))
+
+    def refused(event: events.GenericEventArguments) -> None:
+        text = (event.args or {}).get("error") or "The file did not arrive. Send it again."
+        bench.errors["upload"] = error.text = str(text)
+
+    async def finished() -> None:
+        files = arrived[:]
+        arrived.clear()
+        if files:
+            bench.errors.pop("upload", None)
+            await bench.add(files)
+
+    element.on("uploaded", sent, js_handler=answer)
+    element.on("failed", refused, js_handler=answer)
+    element.on("finish", finished, args=[])
+
+
+# ---- Check
+
+
+def check_step(bench: Bench) -> None:
+    """Add the content of the chosen file, or the guide of the connected device."""
+    item = bench.chosen
+    if item is None:
+        nothing(bench)
+    elif item.kind == "session":
+        recording_part(bench, item)
+    else:
+        file_part(bench, item)
+
+
+def nothing(bench: Bench) -> None:
+    """Say that a file is needed."""
+    ui.label("Choose a file or recording first.")
+    action(bench, "Go to the readings", lambda: bench.go("Readings"), main=True)
+
+
+def recording_part(bench: Bench, item: Item) -> None:
+    """Add a guided recording: its guide if its device is connected, otherwise what was recorded."""
+    guided = bench.guided
+    if guided is None or guided.item is not item:
+        ui.label(f"{item.name}: {item.summary or 'nothing was recorded'}.")
+        if item.summary:
+            action(bench, "Continue to the calibration", lambda: bench.go("Calibrate"), main=True)
+        return
+    guide_part(guided)
+    if bench.practice is not None:
+        action(bench, "Move the practice device as asked", guided.move, main=guided.guide.wanted is not None)
+    if guided.turns.enough or guided.faces.complete:
+        text = "Continue to the calibration" if guided.turns.enough else "Continue without turns"
+        action(bench, text, lambda: bench.go("Calibrate"), main=guided.turns.complete)
+    progress_part(guided)
+    action(bench, "Start over", bench.begin)
+
+
+def file_part(bench: Bench, item: Item) -> None:
+    """Add the content of a file, and what it needs."""
+    ui.label(item.name).classes("heading")
+    ui.label(item.summary or "Reading ...")
+    looked = item.looked
+    if item.kind == "calibration":
+        show(item.results["calibrate"], lambda name: bench.link(item.folder / name))
+        action(bench, "Correct recordings with it", lambda: bench.go("Readings"), main=True)
+        return
+    if looked is None:
+        return
+    mapped = (item.folder / MAP).is_file()
+    if looked.missing == "sample_rate_hz" and not item.draft:
+        rate_form(bench, item)
+    elif looked.missing == "sensor":
+        ui.select(list(looked.columns), label="Sensor", on_change=lambda e: setattr(item, "sensor", e.value))
+        action(bench, "Read the file", lambda: bench.read_again(item), main=True)
+    elif item.draft and not mapped:
+        map_form(bench, item)
+    if item.kind == "recording":
+        if looked.trace:
+            ui.label(proof_of(looked.trace)).classes("proof")
+            ui.label(found_in(looked.trace)).classes("found")
+        action(bench, "Calibrate the device from it", lambda: bench.go("Calibrate"), main=not bench.calibrations)
+        if bench.calibrations:
+            action(bench, "Correct it", lambda: bench.go("Use"), main=True)
+        show_findings(looked.findings)
+        if looked.trace:
+            text = f"Turn rate and acceleration. {found_in(looked.trace)}"
+            ui.echart(chart_of(looked.trace)).classes("trace").props('role="img"').props["aria-label"] = text
+        if item.draft and mapped:
+            with ui.expansion("Columns and units"):
+                map_form(bench, item)
+        elif item.sample_rate_hz is not None:
+            with ui.expansion("Sample rate"):
+                rate_form(bench, item)
+    else:
+        show_findings(looked.findings)
+
+
+def rate_form(bench: Bench, item: Item) -> None:
+    """Ask for the sample rate of a file without time."""
+    ui.label("This file has no time. The data sheet or the settings of the device state its sample rate.")
+    number("Samples per second, Hz", item, "sample_rate_hz")
+    action(bench, "Read the file at this rate", lambda: bench.read_again(item), main=True)
+
+
+def map_form(bench: Bench, item: Item) -> None:
+    """Ask for columns and units of a table of foreign names. A person confirms what is proposed."""
+    draft, columns = item.draft, list(item.looked.columns) if item.looked else []
+    names = sorted({*columns, *(str(name) for several in draft["columns"].values() for name in _several(several))})
+    reasons = item.looked.reasons if item.looked else {}
+    ui.label("This table does not state its units. Check columns and units against the data sheet of the device.")
+    if "sample_rate_hz" in draft:
+
+        def keep(event: events.ValueChangeEventArguments[Any]) -> None:
+            draft["sample_rate_hz"] = event.value or "?"
+
+        value = draft["sample_rate_hz"]
+        ui.number("Samples per second, Hz", value=None if value == "?" else value, on_change=keep).classes("field")
+    for key, unit in draft.get("units", {}).items():
+        if key in UNITS:
+            options = {"?": "Choose the unit"} | {known: known for known in UNITS[key]} | {unit: unit}
+            options["?"] = "Choose the unit"
+            choice(f"Unit of the {SENSORS[key]}", options, draft["units"], key)
+            if key in reasons:
+                ui.label(f"Proposed by {reasons[key]}.").classes("soft")
+    with ui.expansion("Columns"):
+        for key, several in draft["columns"].items():
+            if key in SENSORS and isinstance(several, list):
+                gains = draft.setdefault("scale", {}).setdefault(key, {}).setdefault("gain", [1.0] * len(several))
+                for k, axis in enumerate("xyz"[: len(several)]):
+                    with ui.row(wrap=False):
+                        choice("Sign", {1.0: "+", -1.0: "-"}, gains, k)
+                        choice(f"{SENSORS[key].capitalize()}, {axis}", _options(several[k], names), several, k)
+    action(bench, "Columns and units are right: read the file", lambda: bench.read_again(item), main=True)
+
+
+def _several(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else [value]
+
+
+def _options(current: Any, names: list[str]) -> Any:
+    """Return the columns of a choice: names, or positions from 0."""
+    return list(range(max(current + 1, len(names)))) if isinstance(current, int) else names
+
+
+# ---- Calibrate
+
+
+def calibrate_step(bench: Bench) -> None:
+    """Add what calibrates the device from the chosen recording, and the result."""
+    item = bench.chosen
+    if item is None or item.kind not in ("recording", "session"):
+        nothing(bench)
+        return
+    ui.label(f"Calibrate from {item.name}").classes("heading")
+    if item.kind == "recording":
+        ui.label(WALKED)
+        field("Serial number", item, "serial", hint="from the file; change it if it is another")
+        number("Angle of its turns, deg (empty: none)", item, "turn_deg")
+    place_form(bench)
+    done = "calibrate" in item.results
+    action(bench, "Calibrate", lambda: bench.calibrate(item), main=not done)
+    with ui.expansion("Other ways"):
+        action(bench, "Calibrate the accelerometers only", lambda: bench.calibrate(item, accel_only=True))
+        if item.kind == "recording":
+            ui.label("From motion: turn the device slowly in your hand about every axis for one minute.")
+            action(bench, "Calibrate from its motion", lambda: bench.calibrate(item, motion=True))
+    if done:
+        action(bench, "Correct recordings with it", lambda: bench.go("Use"), main=True)
+        certificate_part(bench, item)
+        show(item.results["calibrate"], lambda name: bench.link(item.folder / name))
+
+
+def place_form(bench: Bench) -> None:
+    """Ask for the place. The scale of the accelerometers cannot be more accurate than local gravity."""
+    place, typed = bench.place, bench.typed
+
+    def keep() -> None:
+        bench.set_place(place_of(*(typed.get(name) or "" for name in ("town", "height", "gravity"))))
+
+    with ui.expansion(f"Place: {place.text}"):
+        ui.label("Without it, the scale of the accelerometers is known to 0.15 % only. Enter a town, or gravity.")
+        for name in ("town", "height", "gravity"):
+            typed.setdefault(name, "")
+        field("Town, or latitude in deg (north is positive)", typed, "town", proposals=list(towns()))
+        field("Height above the sea, m (empty: that of the town)", typed, "height")
+        field("Or gravity, m/s2", typed, "gravity")
+        action(bench, "Keep the place", keep)
+
+
+def certificate_part(bench: Bench, item: Item) -> None:
+    """Ask for the statements of the laboratory, and write the certificate."""
+    entries = ("number", "laboratory", "operator")
+    with ui.expansion("Certificate"):
+        for name, label in zip(entries, ("Certificate number", "Laboratory", "Calibrated by"), strict=True):
+            bench.typed.setdefault(name, "")
+            field(label, bench.typed, name)
+        ui.label("Empty entries become lines to fill in by hand.").classes("soft")
+
+        async def certify() -> None:
+            await bench.certify(item, Statement(**{name: bench.typed[name] or "" for name in entries}))
+
+        action(bench, "Make the certificate", certify)
+    if "certificate" in item.results:
+        ui.link("Open the certificate", bench.link(item.folder / "certificate.html"), new_tab=True)
+
+
+# ---- Use
+
+
+def use_step(bench: Bench) -> None:
+    """Add what corrects and orients a recording, and the results."""
+    item = bench.chosen
+    recordings = [each for each in bench.items if each.kind == "recording"]
+    if not recordings:
+        ui.label("Drop a recording to correct it.")
+        uploader(bench)
+        return
+    chosen = {each: f"{each.name} ({each.arrival})" for each in recordings}
+    ui.select(
+        chosen, label="Recording", value=item if item in chosen else None, on_change=lambda e: take(bench, e.value)
+    ).classes("field")
+    if item not in chosen or item is None:
+        with ui.expansion("Drop another recording"):
+            uploader(bench)
+        return
+    if not bench.calibrations:
+        ui.label("No calibration yet. Drop one, or calibrate the device.")
+        action(bench, "Go to the readings", lambda: bench.go("Readings"), main=True)
+        return
+
+    def use(event: events.ValueChangeEventArguments[Any]) -> None:
+        bench.calibration = event.value
+
+    ui.select(bench.calibrations, label="Calibration", value=bench.calibration, on_change=use).classes("field")
+    choice("Gyroscope offset to subtract", OFFSETS, bench.typed, "offset")
+    choice("Format", {".csv": "CSV", ".parquet": "Parquet, for long recordings"}, bench.typed, "format")
+    action(bench, "Correct", lambda: bench.correct(item), main=True)
+    if "correct" in item.results:
+        show(item.results["correct"], lambda name: bench.link(item.folder / name))
+    sides = {"": "as calibrated, otherwise +x forward and +z up"} | {face: face for face in FACES}
+    with ui.expansion("How the device is worn"):
+        choice("Side that points forward", sides, bench.typed, "forward")
+        choice("Side that points up", sides, bench.typed, "up")
+    action(bench, "Orient: inclination and pitch", lambda: bench.orient(item))
+    if "orient" in item.results:
+        show(item.results["orient"], lambda name: bench.link(item.folder / name))
+
+
+def take(bench: Bench, item: Item) -> None:
+    """Choose a recording, and stay."""
+    bench.chosen = item
+    bench.errors.clear()
+    bench.changed()
+
+
+STEPS: dict[str, tuple[str, Callable[[Bench], None]]] = {
+    "Readings": ("Get readings", readings_step),
+    "Check": ("Check or record", check_step),
+    "Calibrate": ("Calibrate", calibrate_step),
+    "Use": ("Correct and orient", use_step),
+}
