@@ -1,4 +1,4 @@
-"""Mistakes with how a device is worn, and with folders."""
+"""Mistakes with how a device is worn, with folders, and with calibrations of other programs."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from mistakes import causes, habits, worn
+from mistakes import causes, habits, sound, worn
 from mistakes.planting import Case, Change, Told, Wrong, later_error, mistake, planted, with_recordings
 from mistakes.sound import ACCEL, GYRO, Recording, recording_of, trial
+from testkit.ferraris import ferraris_text
 from testkit.walking import misplaced, walk
 from undrift.frames import rotation
 
@@ -60,6 +61,19 @@ def folder() -> Case:
     return replace(worn.correct(), recordings=(held.recording,) * 3, together=True, wrong=None)
 
 
+@cache
+def imucal() -> Case:
+    """Return a recording, and its calibration by imucal."""
+    return _with_file(worn.correct(), "imucal.json", ferraris_text(sound.calibrated()))
+
+
+def _with_file(case: Case, name: str, text: str) -> Case:
+    def write(folder: Path) -> None:
+        (folder / name).write_text(text)
+
+    return replace(case, calibration=None, words=("--calibration", f"{{folder}}/{name}"), edit=write)
+
+
 # ---- changes of one thing
 
 
@@ -86,6 +100,11 @@ def _rows(start_s: float, stop_s: float) -> Callable[[Recording], Recording]:
     return lambda one: one.rows((one.columns["t"] >= start_s) & (one.columns["t"] < stop_s))
 
 
+def _of_another_device(case: Case) -> Case:
+    name = str(case.words[-1]).removeprefix("{folder}/")
+    return _with_file(case, name, ferraris_text(sound.calibrated(99)))
+
+
 MOUNT = [
     *planted(
         mount, habits.ACCEL_XY, habits.GYRO_YZ, habits.NEGATED, habits.DPS_FOR_RAD, habits.MS_FOR_S, habits.HALF_RATE,
@@ -110,7 +129,11 @@ FOLDER = [
     ),
     mistake(folder, "takes the calibration of another device", worn.another_device, causes.OTHER_DEVICE),
 ]
+FOREIGN = [
+    mistake(imucal, "takes the imucal calibration of another device", _of_another_device, causes.OTHER_DEVICE),
+    *planted(imucal, habits.NEGATED, habits.DPS_FOR_RAD),
+]
 MOTION = planted(
     from_motion, habits.GYRO_YZ, habits.GYRO_Y_REVERSED, habits.ACCEL_XY, habits.SENSORS_SWAPPED, habits.HALF_RATE
 )
-MISTAKES = (*MOUNT, *FOLDER, *MOTION)
+MISTAKES = (*MOUNT, *FOLDER, *FOREIGN, *MOTION)

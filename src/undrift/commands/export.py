@@ -26,7 +26,7 @@ def export(
     Parameters
     ----------
     calibration : Path
-        calibration.json of the device.
+        calibration.json of the device, or a calibration of imucal.
     target : str
         c, constants, or a target of another package.
     output : Path

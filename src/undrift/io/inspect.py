@@ -24,6 +24,7 @@ from undrift.io.column_map import AXES, READ_SETTINGS, ColumnMap, is_native, rea
 from undrift.io.columns import ReadResult, native_columns
 from undrift.io.formats import Format, format_of, read_counted, read_markers, read_reference
 from undrift.io.guess import MapProposal, foreign_kind, propose, propose_poses, sniff, triples_of
+from undrift.io.imucal import is_imucal
 from undrift.io.labelled import states_units
 from undrift.io.log import log_sheet, log_text
 from undrift.io.mocap import Markers, Up
@@ -282,6 +283,9 @@ def _told(item: Finding) -> str:
 def describe(path: str | Path, column_map: ColumnMap | None = None, *, up: Up | None = None) -> Description:
     """Return a description of the content of a file."""
     path, how = Path(path), column_map or READ_SETTINGS
+    if is_imucal(path):
+        summary = "calibration of imucal: constants without uncertainty"
+        return Description(path=str(path), kind="calibration", format="imucal", summary=summary)
     name, entry = format_of(path)
     if entry.markers is not None:
         return _markers(path, name, up)

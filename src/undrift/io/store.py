@@ -14,6 +14,7 @@ from undrift.base import codec
 from undrift.files import write_whole
 from undrift.findings import Finding
 from undrift.io.column_map import ColumnMap, file_map_of
+from undrift.io.imucal import is_imucal, read_imucal
 from undrift.model import Calibration, Verdict
 from undrift.record import FileMap
 
@@ -62,7 +63,7 @@ def read_calibration(path: Path | str) -> Calibration:
     Parameters
     ----------
     path : path
-        calibration.json.
+        calibration.json, or a calibration of imucal: constants without uncertainty.
 
     Returns
     -------
@@ -74,6 +75,8 @@ def read_calibration(path: Path | str) -> Calibration:
     FileFormatError
         No such file, not JSON, another kind or version, a key that is missing, unknown, or of another shape.
     """
+    if is_imucal(Path(path)):
+        return read_imucal(Path(path))
     return calibration_of(codec.json_of(Path(path), Calibration), str(path))
 
 
