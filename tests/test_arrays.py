@@ -14,23 +14,23 @@ from undrift.errors import InputError
 @given(x=st.integers(1, 9).flatmap(lambda n: numbers((n, 3), gaps=True)), order=st.sampled_from("CF"))
 def test_a_frozen_array_is_a_read_only_copy_of_the_same_numbers(x, order):
     given_ = np.asarray(x, order=order)
-    made = frozen(given_, (None, 3), "gyro")
-    np.testing.assert_array_equal(made, x)
-    assert made.dtype == np.float64
-    assert made.flags.c_contiguous
-    assert not made.flags.writeable
-    assert not np.shares_memory(made, given_)
+    array = frozen(given_, (None, 3), "gyro")
+    np.testing.assert_array_equal(array, x)
+    assert array.dtype == np.float64
+    assert array.flags.c_contiguous
+    assert not array.flags.writeable
+    assert not np.shares_memory(array, given_)
     assert given_.flags.writeable
 
 
 @pytest.mark.parametrize(
     ("x", "shape", "words"),
     [
-        (np.zeros((3, 9)), (None, 3), r"gyro: expected shape \(N, 3\), got \(3, 9\)"),
-        (np.zeros((4, 1)), (None,), r"gyro: expected shape \(N,\), got \(4, 1\)"),
-        ([1.0, np.inf], (2,), "gyro: expected finite numbers or NaN for a gap, got infinity"),
-        (["a"], (None,), "gyro: expected numbers, got list"),
-        ([[1.0], [1.0, 2.0]], (None, 1), "gyro: expected numbers, got list"),
+        (np.zeros((3, 9)), (None, 3), r"got \(3, 9\)"),
+        (np.zeros((4, 1)), (None,), r"got \(4, 1\)"),
+        ([1.0, np.inf], (2,), "got infinity"),
+        (["a"], (None,), "got list"),
+        ([[1.0], [1.0, 2.0]], (None, 1), "got list"),
     ],
 )
 def test_what_is_no_such_array_is_refused(x, shape, words):
@@ -44,7 +44,7 @@ def test_what_nothing_else_can_write_to_is_not_copied_again():
     writeable, view, counts = np.arange(3.0), np.arange(6.0)[:3], np.arange(3)
     view.flags.writeable = counts.flags.writeable = False
     for other in (writeable, view, counts):
-        made = frozen(other, (3,), "x")
-        assert not np.shares_memory(made, other)
-        assert not made.flags.writeable
+        array = frozen(other, (3,), "x")
+        assert not np.shares_memory(array, other)
+        assert not array.flags.writeable
     assert writeable.flags.writeable

@@ -18,7 +18,7 @@ CALIBRATION = perfect_calibration()
 STILL = Record(time=np.arange(100) / 50.0, gyro=np.zeros((100, 3)), accel=np.tile((0.0, 0.0, 9.8), (100, 1)))
 
 
-def test_every_error_is_of_the_tree_and_input_errors_are_value_errors():
+def test_errors_form_one_tree():
     kinds = [kind for kind in vars(errors).values() if isinstance(kind, type) and issubclass(kind, Exception)]
     assert len(kinds) == 14
     assert all(issubclass(kind, errors.UndriftError) for kind in kinds)
@@ -56,7 +56,7 @@ def test_an_error_travels_between_processes():
     ],
 )
 def test_unknown_choice_is_refused_with_the_choices(make, name):
-    with pytest.raises(errors.InputError, match=f"`{name}` must be one of"):
+    with pytest.raises(errors.InputError, match=f"`{name}` must"):
         make()
 
 

@@ -37,8 +37,8 @@ def test_a_quarter_turn_about_z_takes_x_to_y():
 
 def test_vector_products_are_numpys_to_the_last_bit():
     a, b = np.random.default_rng(1).normal(size=(2, 50, 4, 3))
-    for one, two in ((a, b), (a[0, 0], b[0, 0]), (a[:, None, 0], b[0])):
-        np.testing.assert_array_equal(cross(one, two), np.cross(one, two))
+    for item, two in ((a, b), (a[0, 0], b[0, 0]), (a[:, None, 0], b[0])):
+        np.testing.assert_array_equal(cross(item, two), np.cross(item, two))
 
 
 def test_gaps_pass_through():
@@ -48,7 +48,7 @@ def test_gaps_pass_through():
     np.testing.assert_array_equal(rotate(q, np.ones((2, 3)))[0], [1, 1, 1])
 
 
-def test_a_rotation_vector_takes_the_short_way_whatever_the_sign_of_its_quaternion():
+def test_rotation_vector_takes_the_short_way():
     vector = np.array([0.3, -2.0, 1.1])  # 2.3 rad
     q = quaternion_of(vector)
     np.testing.assert_allclose(rotation_vector(np.stack((q, -q))), [vector, vector], rtol=0, atol=1e-15 * 10)

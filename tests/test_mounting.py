@@ -36,9 +36,9 @@ def errors(place, seeds, movement="walk"):
     for seed in seeds:
         record, matrix = drawn(seed, place, movement)
         fit = find_mounting([record], place, movement=movement)
-        found = fit.mounting
-        assert found is not None, (place, seed)
-        rows.append((off(found, matrix), np.sqrt(np.diag(found.covariance))))
+        mounting = fit.mounting
+        assert mounting is not None, (place, seed)
+        rows.append((off(mounting, matrix), np.sqrt(np.diag(mounting.covariance))))
     return np.array(rows).transpose(1, 0, 2)
 
 
@@ -70,7 +70,7 @@ def test_what_is_not_shown_is_named():
     record, _ = drawn(4, "lower-back")
     standing = find_mounting([record.between(0.0, 4.0)], "lower-back")
     assert standing.mounting is None
-    assert [one.code for one in standing.verdict.findings] == ["mount.not_determined"]
+    assert [finding.code for finding in standing.verdict.findings] == ["mount.not_determined"]
     assert "walk straight" in standing.verdict.findings[0].action
     rng = np.random.default_rng(0)
     gyro = rng.normal(0.0, 2.0, (3000, 3)).cumsum(axis=0) * 0.05
@@ -78,16 +78,16 @@ def test_what_is_not_shown_is_named():
     shaken = Record(time=np.arange(3000) / 100.0, gyro=gyro, accel=force)
     lost = find_mounting([shaken], "lower-back")
     assert lost.mounting is None
-    assert [one.code for one in lost.verdict.findings] == ["mount.not_determined"]
+    assert [finding.code for finding in lost.verdict.findings] == ["mount.not_determined"]
 
 
 def test_a_device_that_slipped_between_recordings_is_less_sure():
     rng = np.random.default_rng(5)
     slipped = quaternion_product(np.array([np.cos(0.35), 0.0, 0.0, np.sin(0.35)]), np.array([1.0, 0.0, 0.0, 0.0]))
     first, second = walk(rng), walk(rng, q_ab=slipped)
-    found, sound = (find_mounting(records, "lower-back") for records in ([first, second], [first]))
-    assert found.mounting.covariance[2, 2] > 9.0 * sound.mounting.covariance[2, 2]
-    assert "mount.uncertain" in [one.code for one in found.verdict.findings]
+    result, sound = (find_mounting(records, "lower-back") for records in ([first, second], [first]))
+    assert result.mounting.covariance[2, 2] > 9.0 * sound.mounting.covariance[2, 2]
+    assert "mount.uncertain" in [finding.code for finding in result.verdict.findings]
 
 
 def test_a_bow_moves_the_lower_back_only():
@@ -96,7 +96,7 @@ def test_a_bow_moves_the_lower_back_only():
         find_mounting([record], "foot", movement="bow")
 
 
-def test_a_mounting_is_a_rotation_and_gives_the_orientation_of_the_segment():
+def test_mounting_gives_the_orientation_of_the_segment():
     q_ab = misplaced(np.random.default_rng(8), 30.0)
     worn = BodyMounting(place="thigh", matrix=rotation(q_ab).as_matrix(), covariance=np.eye(3) * 1e-4, basis="stated")
     q_na = misplaced(np.random.default_rng(9), 50.0)

@@ -38,15 +38,15 @@ def off(q, truth):
     return 2.0 * np.arctan2(np.linalg.norm(e[:, 1:], axis=1), np.abs(e[:, 0]))
 
 
-def test_ideal_readings_give_back_the_motion_after_and_before_the_rest():
+def test_ideal_readings_give_back_the_motion():
     record, truth = moved(lead=120)
-    found = orient(record, Still(start=130, stop=310))
-    show("noise-free round trip, rad", off(found.q_nb, truth).max(), 1e-12)
-    assert off(found.q_nb, truth).max() < 1e-12  # 600 roundings
-    np.testing.assert_array_equal(found.inclination, inclination_of(found.q_nb))
-    np.testing.assert_array_equal(found.heading, heading_of(found.q_nb))
-    np.testing.assert_array_equal(found.pitch, sagittal_pitch(found.q_nb))
-    np.testing.assert_array_equal(found.offset, 0.0)
+    orientation = orient(record, Still(start=130, stop=310))
+    show("noise-free round trip, rad", off(orientation.q_nb, truth).max(), 1e-12)
+    assert off(orientation.q_nb, truth).max() < 1e-12  # 600 roundings
+    np.testing.assert_array_equal(orientation.inclination, inclination_of(orientation.q_nb))
+    np.testing.assert_array_equal(orientation.heading, heading_of(orientation.q_nb))
+    np.testing.assert_array_equal(orientation.pitch, sagittal_pitch(orientation.q_nb))
+    np.testing.assert_array_equal(orientation.offset, 0.0)
 
 
 def test_the_rest_offset_is_taken_off_when_asked():
@@ -60,19 +60,21 @@ def test_the_rest_offset_is_taken_off_when_asked():
 
 def test_a_rest_is_found_when_none_is_given():
     record, truth = moved(noise=1e-4)
-    found = orient(record)
+    orientation = orient(record)
     assert (
-        0 <= found.still.start < found.still.stop <= 202
+        0 <= orientation.still.start < orientation.still.stop <= 202
     )  # the search may lose half a window, and gain none of the motion
-    assert off(found.q_nb, truth).max() < 1e-3  # 600 steps of 1e-4 rad/s noise walk to 2e-5 rad; the tilt errs by 1e-5
+    assert (
+        off(orientation.q_nb, truth).max() < 1e-3
+    )  # 600 steps of 1e-4 rad/s noise walk to 2e-5 rad; the tilt errs by 1e-5
 
 
 def test_axes_are_those_of_the_settings():
     record, truth = moved()
     still = Still(start=0, stop=200)
-    found = orient(record, still, OrientSettings(forward="-y", up="+z"))
-    assert found.heading[100] == pytest.approx(0.0, abs=1e-12)
-    np.testing.assert_allclose(found.pitch, sagittal_pitch(truth, forward="-y", up="+z"), rtol=0, atol=1e-11)
+    orientation = orient(record, still, OrientSettings(forward="-y", up="+z"))
+    assert orientation.heading[100] == pytest.approx(0.0, abs=1e-12)
+    np.testing.assert_allclose(orientation.pitch, sagittal_pitch(truth, forward="-y", up="+z"), rtol=0, atol=1e-11)
 
 
 def test_degrees_and_g_are_converted():
@@ -90,17 +92,17 @@ def test_what_cannot_be_oriented_is_refused():
     shaken = Record(time=record.time, gyro=rng.normal(size=(600, 3)), accel=record.accel + rng.normal(size=(600, 3)))
     with pytest.raises(
         InputError,
-        match=r"no still phase .* \(`rest_s`\), use `offset` motion",
+        match="no still phase",
     ):
         orient(shaken)
-    with pytest.raises(InputError, match="rate: expected a physical unit, got count"):
+    with pytest.raises(InputError, match="got count"):
         orient(Record(time=record.time, gyro=record.gyro, accel=record.accel, gyro_unit="count"))
 
 
 def test_a_hole_in_time_or_a_dead_axis_is_refused() -> None:
     record, *_ = moved()
     late = np.where(np.arange(len(record)) < 400, record.time, record.time + 5.0)
-    with pytest.raises(InputError, match=r"holes over 0.1 s, got 1, the first of 5.0"):
+    with pytest.raises(InputError, match=r"first of 5.0"):
         orient(replace(record, time=late))
     assert record.gyro is not None
     with pytest.raises(InputError, match="x of the gyroscopes"):
@@ -124,21 +126,23 @@ def worn(*, drift=5e-5, rests=4, noise=1e-3, seed=5):
     return Record(time=time, gyro=gyro, accel=up + noise * rng.normal(size=up.shape)), q
 
 
-def test_the_drift_to_expect_is_the_rate_left_at_the_rests_times_the_time():
+def test_expected_drift_is_the_rate_at_rest_times_the_time():
     record, _ = moved(noise=1e-4, offset=0.02)
     (item,) = orient(record).findings
     assert item.code == "orient.drift"
     assert item.level == "warn"
     assert item.values["offset_dps"] == pytest.approx(np.degrees(0.02 * np.sqrt(3.0)), rel=0.01)
     assert item.values["drift_deg"] == pytest.approx(item.values["offset_dps"] * item.values["duration_s"])
-    found = orient(record, None, OrientSettings(offset="rest"))
-    (item,) = found.findings
+    orientation = orient(record, None, OrientSettings(offset="rest"))
+    (item,) = orientation.findings
     assert item.level == "info"
-    moving = 1.0 - (found.still.stop - found.still.start) / len(record)  # 0.02 deg/s an axis from rest to motion
+    moving = 1.0 - (orientation.still.stop - orientation.still.start) / len(
+        record
+    )  # 0.02 deg/s an axis from rest to motion
     assert item.values["offset_dps"] == pytest.approx(0.02 * np.sqrt(3.0) * moving, rel=0.01)
 
 
-def test_the_uncertainty_of_the_calibrations_offset_counts_where_nothing_better_is_known():
+def test_uncertainty_of_the_calibrated_offset_counts():
     record, _ = moved(noise=1e-5)
     sd = 0.3  # dps per unit of the raw reading, which is doubled by the matrix
     model = TriadModel(
@@ -154,26 +158,26 @@ def test_the_uncertainty_of_the_calibrations_offset_counts_where_nothing_better_
         condition=1.0,
         valid_range=(-100.0, 100.0),
     )
-    found = orient(record, gyro_model=model)
-    assert np.degrees(found.offset_uncertainty) == pytest.approx(2.0 * sd * np.sqrt(3.0), rel=0.01)
+    orientation = orient(record, gyro_model=model)
+    assert np.degrees(orientation.offset_uncertainty) == pytest.approx(2.0 * sd * np.sqrt(3.0), rel=0.01)
     rest = orient(record, None, OrientSettings(offset="rest"), gyro_model=model)
-    assert rest.offset_uncertainty < 0.1 * found.offset_uncertainty  # the rest's own mean took its place
+    assert rest.offset_uncertainty < 0.1 * orientation.offset_uncertainty  # the rest's own mean took its place
     models = [replace(model, method=method, covariance=np.zeros((12, 12))) for method in ("rest", "reference/motion")]
-    bench, optics = (orient(record, gyro_model=one).offset_uncertainty for one in models)
+    bench, optics = (orient(record, gyro_model=item).offset_uncertainty for item in models)
     assert optics < 0.1 * bench  # an offset that was fitted in motion does not change from rest to motion
 
 
 VQF = OrientSettings(method="vqf")
 
 
-def test_the_filter_keeps_the_heading_of_the_rest_and_the_course_of_the_motion():
+def test_filter_keeps_the_heading_of_the_rest():
     record, truth = worn(drift=0.0)
-    found = orient(record, None, VQF)
-    error = off(found.q_nb, truth)
+    orientation = orient(record, None, VQF)
+    error = off(orientation.q_nb, truth)
     show("filter on ideal readings, rad", error.max(), 0.01)
     assert error.max() < 0.01  # the filter trusts the accelerometers with 3 s, and smooths them
-    assert found.heading[found.still.stop - 1] == pytest.approx(0.0, abs=1e-6)
-    assert found.findings == ()
+    assert orientation.heading[orientation.still.stop - 1] == pytest.approx(0.0, abs=1e-6)
+    assert orientation.findings == ()
 
 
 def test_the_filter_takes_readings_of_an_uneven_clock():
@@ -184,8 +188,8 @@ def test_the_filter_takes_readings_of_an_uneven_clock():
     uneven = replace(
         record, time=time, gyro=_at(time, record.time, record.gyro), accel=_at(time, record.time, record.accel)
     )
-    found = orient(uneven, Still(start=0, stop=400), VQF)
-    error = off(found.q_nb, np.stack([np.interp(time, even.time, axis) for axis in even.q_nb.T], axis=1))
+    orientation = orient(uneven, Still(start=0, stop=400), VQF)
+    error = off(orientation.q_nb, np.stack([np.interp(time, even.time, axis) for axis in even.q_nb.T], axis=1))
     show("uneven against even, rad", error.max(), 0.02)
     assert error.max() < 0.02  # 0.3 rad/s over the half step by which interpolated means are late
 
@@ -203,23 +207,23 @@ def test_the_filter_is_told_how_well_the_offset_is_known(monkeypatch):
 
     monkeypatch.setitem(sys.modules, "vqf", SimpleNamespace(offlineVQF=filtered))
     record, _ = moved(noise=1e-4, offset=0.002)
-    found = orient(record, None, VQF)
-    assert given["biasSigmaInit"] == pytest.approx(np.degrees(found.offset_uncertainty))
-    assert np.degrees(found.offset_uncertainty) == pytest.approx(np.degrees(0.002 * np.sqrt(3.0)), rel=0.05)
+    orientation = orient(record, None, VQF)
+    assert given["biasSigmaInit"] == pytest.approx(np.degrees(orientation.offset_uncertainty))
+    assert np.degrees(orientation.offset_uncertainty) == pytest.approx(np.degrees(0.002 * np.sqrt(3.0)), rel=0.05)
     assert given["step"] == pytest.approx(0.01)
 
 
-def test_the_filter_with_a_magnetometer_turns_to_magnetic_east_and_bridges_gaps():
+def test_filter_with_a_magnetometer_turns_to_east():
     record, truth = worn(drift=0.0)
     turn = np.array([np.cos(0.6), 0.0, 0.0, np.sin(0.6)])
     true = quaternion_product(turn, truth)
     field = rotate(quaternion_conjugate(true), np.array([0.0, 18.0, -44.0]))
     field[1::2] = np.nan  # half as fast as the others
-    found = orient(replace(record, mag_ut=field), None, OrientSettings(method="vqf", magnetometer=True))
-    error = off(found.q_nb, true)
+    orientation = orient(replace(record, mag_ut=field), None, OrientSettings(method="vqf", magnetometer=True))
+    error = off(orientation.q_nb, true)
     show("filter with a magnetometer, rad", error.max(), 0.02)
     assert error.max() < 0.02
-    assert "to magnetic north" in only(found.findings, "orient.north").text
+    assert "to magnetic north" in only(orientation.findings, "orient.north").text
     for change, got in (({}, "got no readings"), ({"mag_ut": field}, "got strapdown")):
         with pytest.raises(InputError, match=got):
             orient(replace(record, **change), None, OrientSettings(magnetometer=True, method="strapdown"))
@@ -231,7 +235,7 @@ def test_without_whole_accelerometers_the_filter_is_refused():
     record, _ = moved(noise=1e-4)
     accel = record.accel.copy()
     accel[500] = np.nan
-    with pytest.raises(InputError, match="without gaps, got 1 gaps"):
+    with pytest.raises(InputError, match="got 1 gaps"):
         orient(replace(record, accel=accel), None, VQF)
 
 
@@ -239,22 +243,22 @@ def test_rates_that_no_gyroscope_reads_point_to_the_unit() -> None:
     time = np.arange(800) / 100.0
     gyro = np.where(time[:, None] > 6.0, 75.0, 0.0) * np.array([1.0, 0.2, 0.1])  # rad/s: 4297 deg/s
     accel = np.tile([0.0, 0.0, 9.81], (800, 1))
-    with pytest.raises(InputError, match=r"up to 4000 deg/s, .* got 4297 deg/s"):
+    with pytest.raises(InputError, match="got 4297"):
         orient(Record(time=time, gyro=gyro, accel=accel, frame="b", state="corrected"))
 
 
-def test_the_tilt_holds_at_the_end_of_the_rest_and_its_rate_is_that_of_the_rest_alone():
+def test_tilt_holds_at_the_end_of_the_rest():
     record, _ = moved(lead=120, noise=1e-3, offset=0.02)
     still = Still(start=130, stop=310)
-    found = orient(record, still, OrientSettings(offset="rest"))
-    np.testing.assert_allclose(found.q_nb[309], found.tilt.q_nb, rtol=0, atol=1e-15)
-    assert off(found.q_nb[[130]], found.tilt.q_nb[None])[0] > 1e-6  # noise of 180 readings lies between
+    orientation = orient(record, still, OrientSettings(offset="rest"))
+    np.testing.assert_allclose(orientation.q_nb[309], orientation.tilt.q_nb, rtol=0, atol=1e-15)
+    assert off(orientation.q_nb[[130]], orientation.tilt.q_nb[None])[0] > 1e-6  # noise of 180 readings lies between
     # the lead turns by 1 rad in 1.2 s; 180 readings of 1e-3 rad/s know the offset to 7.5e-5
-    np.testing.assert_allclose(found.offset, 0.02, atol=4e-4)
+    np.testing.assert_allclose(orientation.offset, 0.02, atol=4e-4)
 
 
 @pytest.mark.parametrize("turned", [False, True], ids=["rest first", "rest last"])
-def test_the_drift_to_expect_is_that_of_the_end_farther_from_the_rest(turned):
+def test_expected_drift_is_that_of_the_farther_end(turned):
     record, _ = moved(n=1000, rest=200, noise=1e-3)
     still = Still(start=0, stop=200)
     if turned:
@@ -286,18 +290,16 @@ def stood_up(axes, *, lean=0.7):
         (((1, 0, 0), (0, -1, 0), (0, 0, -1)), "-z", "x"),
     ],
 )
-def test_pitch_by_axes_that_the_device_is_not_worn_with_names_those_that_the_rest_and_the_motion_show(
-    axes, up, forward
-):
+def test_pitch_by_wrong_axes_names_the_right_ones(axes, up, forward):
     record, still = stood_up(axes), Still(start=0, stop=200)
     item = only(orient(record, still).findings, "orient.pitch_axes")
     assert item.level == "warn"
     assert (item.values["up"], item.values["forward"]) == (up, forward)
     leans = {}
     for way in (f"+{forward}", f"-{forward}"):
-        found = orient(record, still, OrientSettings(forward=way, up=up))
-        assert not [one for one in found.findings if one.code == "orient.pitch_axes"]
-        leans[way] = np.degrees([found.pitch.min(), found.pitch.max()])
+        orientation = orient(record, still, OrientSettings(forward=way, up=up))
+        assert not [finding for finding in orientation.findings if finding.code == "orient.pitch_axes"]
+        leans[way] = np.degrees([orientation.pitch.min(), orientation.pitch.max()])
     (right,) = (way for way, lean in leans.items() if lean[1] > 30.0)
     assert leans[right] == pytest.approx([0.0, np.degrees(0.7)], abs=0.3)
 
@@ -305,8 +307,8 @@ def test_pitch_by_axes_that_the_device_is_not_worn_with_names_those_that_the_res
 def test_an_upright_device_and_a_deep_bow_are_no_matter_of_axes():
     upright = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
     for lean in (0.3, 1.6):
-        found = orient(stood_up(upright, lean=lean), Still(start=0, stop=200))
-        assert not [one for one in found.findings if one.code == "orient.pitch_axes"]
+        orientation = orient(stood_up(upright, lean=lean), Still(start=0, stop=200))
+        assert not [finding for finding in orientation.findings if finding.code == "orient.pitch_axes"]
 
 
 # ---- recordings that begin and end in motion
@@ -322,20 +324,20 @@ def tumbled(duration_s=60.0, offset=(0.005, -0.004, 0.006)):
     return replace(record, accel=shaken).between(9.0, 9.0 + duration_s), reference
 
 
-def test_a_recording_that_never_rests_is_oriented_by_gravity_in_motion():
+def test_recording_without_a_rest_is_oriented_by_gravity():
     record, reference = tumbled(57.0)
-    found = orient(record, settings=OrientSettings(offset="motion"))
-    assert found.still is None
-    assert found.still is None
-    assert np.abs(found.offset - [0.005, -0.004, 0.006]).max() < 1e-3
-    true = np.stack([np.interp(record.time, reference.time, one) for one in reference.q_nb.T], axis=1)
-    vertical = [rotate(quaternion_conjugate(q), np.array([0.0, 0.0, 1.0])) for q in (found.q_nb, true)]
+    orientation = orient(record, settings=OrientSettings(offset="motion"))
+    assert orientation.still is None
+    assert orientation.still is None
+    assert np.abs(orientation.offset - [0.005, -0.004, 0.006]).max() < 1e-3
+    true = np.stack([np.interp(record.time, reference.time, entry) for entry in reference.q_nb.T], axis=1)
+    vertical = [rotate(quaternion_conjugate(q), np.array([0.0, 0.0, 1.0])) for q in (orientation.q_nb, true)]
     error = np.degrees(
         np.arccos(np.clip((vertical[0] * vertical[1]).sum(axis=1) / np.linalg.norm(vertical[1], axis=1), -1, 1))
     )
     assert error.max() < 0.8  # forces of 0.3 m/s2, white; half a sample at 66 deg/s is 0.17
-    assert error[0] < 2.0 * np.degrees(found.tilt.expanded_uncertainty)
-    assert "orient.drift" in [item.code for item in found.findings]
+    assert error[0] < 2.0 * np.degrees(orientation.tilt.expanded_uncertainty)
+    assert "orient.drift" in [item.code for item in orientation.findings]
     raw = orient(record)  # tilt from motion, rates as they are
     assert (raw.offset == 0.0).all()
     assert only(raw.findings, "orient.drift").values["offset_dps"] > 0.3
@@ -344,7 +346,75 @@ def test_a_recording_that_never_rests_is_oriented_by_gravity_in_motion():
         orient(record, settings=OrientSettings(offset="rest"))
     accel = np.array(record.accel)
     accel[700] = np.nan
-    with pytest.raises(InputError, match=r"without gaps, got 1 gaps \(NaN\)"):
+    with pytest.raises(InputError, match="got 1 gaps"):
         orient(replace(record, accel=accel), settings=OrientSettings(offset="motion"))
     with pytest.raises(InputError, match="no still phase"):
         orient(record.between(9.0, 20.0), settings=OrientSettings(offset="motion"))
+
+
+# ---- inclination, heading, sagittal pitch, Cardan angles
+
+
+def about(axis, angle):
+    half = 0.5 * np.asarray(angle)
+    return np.stack([np.cos(half), *(np.sin(half) * a for a in axis)], axis=-1)
+
+
+X, Y, Z = np.eye(3)
+ANY = np.random.default_rng(1).normal(size=(200, 4))
+ANY /= np.linalg.norm(ANY, axis=1)[:, None]
+
+
+def test_inclination_and_heading_are_the_benchmarks_definitions():
+    w, z = np.abs(ANY[:, 0]), ANY[:, 3] * np.sign(ANY[:, 0])
+    # the reference form loses half its digits where the root is near one
+    np.testing.assert_allclose(inclination_of(ANY), 2.0 * np.arccos(np.hypot(w, z)), rtol=0, atol=1e-7)
+    np.testing.assert_allclose(heading_of(ANY), 2.0 * np.arctan(z / w), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(inclination_of(-ANY), inclination_of(ANY), rtol=0, atol=1e-15)
+    np.testing.assert_allclose(heading_of(-ANY), heading_of(ANY), rtol=0, atol=1e-15)
+
+
+def test_heading_and_inclination_part_a_turn_from_a_lean():
+    lean = np.linspace(-3.0, 3.0, 25)
+    q = quaternion_product(about(Z, 0.7), about([0.6, 0.8, 0.0], lean))
+    np.testing.assert_allclose(heading_of(q), 0.7, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(inclination_of(q), np.abs(lean), rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("heading", [0.0, 2.0])
+def test_pitch_follows_a_lean_through_the_vertical(heading):
+    lean = np.linspace(-3.1, 3.1, 63)  # past +-90 deg, where an Euler pitch would turn back
+    q = quaternion_product(about(Z, heading), about(Y, lean))
+    np.testing.assert_allclose(sagittal_pitch(q), lean, rtol=0, atol=1e-14)
+
+
+def test_pitch_reads_the_same_lean_in_any_mounting():
+    lean = np.linspace(-1.5, 1.5, 31)
+    # device x up and z backward: forward is -z; the mediolateral axis that stays is y
+    np.testing.assert_allclose(
+        sagittal_pitch(quaternion_product(about(Y, lean), about(Y, -np.pi / 2)), forward="-z", up="+x"),
+        lean,
+        rtol=0,
+        atol=1e-14,
+    )
+
+
+def test_pitch_is_a_gap_only_where_the_vertical_leaves_the_plane():
+    side = np.radians([0.0, 60.0, 84.0, 86.0, 90.0])
+    pitch = sagittal_pitch(about(X, side))
+    np.testing.assert_array_equal(np.isnan(pitch), [False, False, False, True, True])
+
+
+def test_axes_that_span_no_plane_are_refused():
+    with pytest.raises(InputError, match="two different axes"):
+        sagittal_pitch(ANY, forward="+x", up="-x")
+    with pytest.raises(InputError, match="got forward up and up"):
+        sagittal_pitch(ANY, forward="up")
+
+
+def test_gaps_pass_through_every_angle():
+    q = ANY.copy()
+    q[3] = np.nan
+    for values in (inclination_of(q), heading_of(q), sagittal_pitch(q)):
+        assert np.isnan(values[3])
+        assert np.isfinite(values[:3]).all()

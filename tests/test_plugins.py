@@ -70,23 +70,23 @@ def test_a_source_of_another_package_is_opened_by_its_address(installed):
 
 
 def test_an_unknown_kind_names_those_of_other_packages_too(installed):
-    with pytest.raises(InputError, match=r"rig: expected one of galil:..., .*lathe:..., .*got 'press:'"):
+    with pytest.raises(InputError, match=r"lathe:.*got 'press:'"):
         open_rig("press:")
-    with pytest.raises(InputError, match=r"device: expected one of tcp:..., .*ramp:..., got 'press:'"):
+    with pytest.raises(InputError, match=r"ramp:.*got 'press:'"):
         source_at("press:")
 
 
-def test_a_package_without_the_object_of_its_entry_point_is_refused(installed):
-    with pytest.raises(InputError, match=r"broken: expected lathe:not_there, got .*. Install the package"):
+def test_package_without_its_object_is_refused(installed):
+    with pytest.raises(InputError, match="lathe:not_there"):
         open_rig("broken:")
 
 
 def test_the_own_rows_of_a_table_cannot_be_replaced(installed):
-    with pytest.raises(InputError, match="link: expected tcp://host:port"):
+    with pytest.raises(InputError, match="tcp://host:port"):
         open_rig("galil:shed")
 
 
-def test_an_address_imports_no_controller_and_no_library_of_a_source():
+def test_address_imports_no_controller():
     code = (
         "import sys; from undrift.rig.rig import parse_address; from undrift.live.transports import source_at;"
         "parse_address('galil:tcp://a:1'); source_at('serial:///dev/x?rate=1'); "

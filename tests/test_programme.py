@@ -2,10 +2,12 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import pytest
 
-from undrift.errors import InputError
+from undrift.errors import FileFormatError, InputError
 from undrift.programme import (
     Dwell,
     Mount,
@@ -14,9 +16,13 @@ from undrift.programme import (
     Protocol,
     Soak,
     programme_of,
+    rate_grid,
+    read_protocol,
     settle_time,
     whole_turns_time,
+    write_protocol,
 )
+from undrift.rig.folder import protocol_digest
 from undrift.rig.rig import Limits, check_programme
 
 DPS = math.pi / 180.0
@@ -32,7 +38,7 @@ def kinds(programme):
     return [step.purpose if isinstance(step, Dwell) else type(step).__name__ for step in programme.steps]
 
 
-def test_a_device_settles_to_a_thousandth_and_never_less_than_the_table_needs():
+def test_device_settles_to_a_thousandth():
     assert settle_time(11.1) == 0.3
     assert settle_time(2.0) == pytest.approx(math.log(1000.0) / (math.sqrt(0.5) * 2.0 * math.pi * 2.0))
     assert settle_time(2.0, damping=1.0) < settle_time(2.0)
@@ -45,7 +51,7 @@ def test_whole_turns_are_the_next_ones():
     assert whole_turns_time(5.0 * DPS, 6.0) == pytest.approx(72.0)
 
 
-def test_the_notes_grid_becomes_102_dwells_on_six_mountings_and_a_stated_time():
+def test_notes_grid_becomes_102_dwells():
     programme = programme_of(SIT_TO_STAND)
     assert sum(dwell.purpose == "rate" for dwell in programme.dwells) == 102
     assert sum(isinstance(step, Mount) for step in programme.steps) == 6
@@ -56,7 +62,7 @@ def test_the_notes_grid_becomes_102_dwells_on_six_mountings_and_a_stated_time():
     assert programme_of(SIT_TO_STAND) == programme
 
 
-def test_blocks_stand_between_rests_and_a_face_shares_the_mounting_of_its_axis():
+def test_blocks_stand_between_rests():
     programme = programme_of(SMALL)
     block = ["bracket", *["rate"] * 6, "bracket"]
     assert kinds(programme) == ["Mount", "face", *block, "Mount", "face", "Mount", *block]
@@ -123,7 +129,7 @@ def test_faces_at_few_temperatures_save_soaks(at, mountings, soaks, minutes):
     assert sorted(faces, key=str) == sorted(((up, c) for up in NOTES_SOAKS.faces for c in temps_c), key=str)
 
 
-def test_a_face_without_rates_is_mounted_before_those_that_are_heated():
+def test_face_without_rates_is_mounted_first():
     programme = programme_of(replace(SMALL, faces_at="first", temperatures_c=(20.0, 40.0)))
     steps = [
         step.up if isinstance(step, Mount) else step.temp_c for step in programme.steps if not isinstance(step, Dwell)
@@ -138,7 +144,7 @@ def test_a_filter_that_rings_settles_later():
     assert more == pytest.approx(len(programme_of(slow).dwells) * per_dwell)
 
 
-def test_dwells_are_as_long_as_asked_for_and_as_the_uncertainty_needs():
+def test_dwells_are_as_long_as_the_uncertainty_needs():
     stated = replace(SMALL, dwell_s=2.0, turn_rate_uncertainty=0.0009 * DPS)
     assert {round(d.dwell_s, 9) for d in programme_of(stated).dwells if d.purpose == "rate"} == {10.0}
     coarse = programme_of(stated, ProgrammeSettings(encoder_lines=5000))
@@ -159,18 +165,18 @@ def test_no_bracket_is_asked_for_by_zero_seconds():
 
 
 def test_a_programme_without_a_dwell_is_refused():
-    with pytest.raises(InputError, match="at least one dwell"):
+    with pytest.raises(InputError, match="one dwell"):
         Programme(steps=(Mount(up="+x", duration_s=1.0),), acceleration=1.0)
 
 
-def test_rates_accelerations_and_travel_beyond_the_rigs_are_refused_before_it_is_opened():
+def test_programme_beyond_the_limits_is_refused():
     programme = programme_of(SMALL)
     check_programme(programme, Limits())
-    with pytest.raises(InputError, match=r"step 7 \(\+30 deg/s about x\): turn rate: at most 22.9183 deg/s .*, got 30"):
+    with pytest.raises(InputError, match=r"step 7 .*got 30"):
         check_programme(programme, Limits(turn_rate=0.4))
-    with pytest.raises(InputError, match=r"acceleration: at most 572.958 deg/s2 .*, got 2291.83"):
+    with pytest.raises(InputError, match=r"got 2291.83"):
         check_programme(programme, Limits(acceleration=10.0))
-    with pytest.raises(InputError, match=r"step [3-7] .*: travel: at most 114.592 deg .*, got"):
+    with pytest.raises(InputError, match=r"at most 114.592"):
         check_programme(programme, Limits(travel=2.0))
     check_programme(programme, Limits(travel=4.0))  # back and forth: 30 deg/s for 6.3 s is 3.3 rad
     check_programme(programme, Limits(turn_rate=0.4), frozenset(range(7, 99)))
@@ -179,7 +185,118 @@ def test_rates_accelerations_and_travel_beyond_the_rigs_are_refused_before_it_is
 def test_rates_for_a_persons_hands_are_refused_with_the_way_out():
     with pytest.raises(
         InputError,
-        match=r"manual rig: .* got 12 dwells",
+        match="got 12 dwells",
     ):
         check_programme(programme_of(SMALL), Limits(), by_hand=True)
     check_programme(programme_of(Protocol(faces=("+x",))), Limits(), by_hand=True)
+
+
+# ---- protocol: the note's grids, and what cannot be done is refused
+
+RATES_ONLY = Protocol(turn_rate_min=5 * DPS, turn_rate_max=90 * DPS, turn_rate_step=5 * DPS, grid="paper")
+
+
+@pytest.mark.parametrize(
+    ("limits", "paper", "inclusive"),
+    [((5.0, 90.0, 5.0), 102, 108), ((3.0, 45.0, 3.0), 84, 90), ((0.1, 5.0, 0.1), 294, 300)],
+)
+def test_the_grid_counts_the_columns_as_the_note_does(
+    limits: tuple[float, float, float], paper: int, inclusive: int
+) -> None:
+    assert 3 * len(rate_grid(*limits, rule="paper")) == paper
+    assert 3 * len(rate_grid(*limits, rule="inclusive")) == inclusive
+    assert rate_grid(*limits, rule="inclusive").max() == pytest.approx(limits[1])
+    assert np.abs(rate_grid(*limits, rule="paper")).min() == pytest.approx(limits[0] + limits[2])
+
+
+def test_the_note_lists_34_rates_an_axis_from_ten_to_ninety() -> None:
+    np.testing.assert_allclose(rate_grid(5.0, 90.0, 5.0, rule="paper")[17:], np.arange(10.0, 91.0, 5.0))
+
+
+def test_a_grid_that_cannot_be_is_refused() -> None:
+    with pytest.raises(InputError, match=r"must divide 85, got 4.* 4\.04"):
+        rate_grid(5.0, 90.0, 4.0)
+    with pytest.raises(InputError, match=r"positive step .*got 5, 3, 1"):
+        rate_grid(5.0, 3.0, 1.0)
+
+
+def test_a_protocol_gives_its_rates_in_radians() -> None:
+    rates = RATES_ONLY.turn_rates()
+    assert len(rates) == 34
+    assert rates[-1] == pytest.approx(np.pi / 2.0)
+    assert len(replace(RATES_ONLY, turn_rate_step=0.0).turn_rates()) == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"faces": (), "turn_rate_step": 0.0}, "rates and turns"),
+        ({"dwell_s": None}, "and turn_rate_uncertainty"),
+        ({"dwell_s": 0.0}, "must be above"),
+        ({"temperatures_c": (30.0, 20.0)}, "temperatures must increase"),
+        ({"acceleration": -1.0}, "must be above"),
+        ({"face_s": float("nan")}, "face_s .*got nan"),
+    ],
+)
+def test_what_cannot_be_done_is_refused(change: dict[str, object], text: str) -> None:
+    with pytest.raises(InputError, match=text):
+        replace(RATES_ONLY, **change)  # type: ignore[arg-type]
+
+
+# ---- protocol.toml reads back as it was written; what is wrong is named
+
+
+def test_a_protocol_reads_back_as_it_was(tmp_path: Path) -> None:
+    wanted = Protocol(
+        name='so "called"',
+        faces=("+x", "-z"),
+        faces_at="room",
+        damping=0.8,
+        turn_rate_min=3 * DPS,
+        turn_rate_max=45 * DPS,
+        turn_rate_step=3 * DPS,
+        grid="paper",
+        axes=("z",),
+        order="random",
+        seed=4,
+        dwell_s=None,
+        turn_rate_uncertainty=0.01 * DPS,
+        temperatures_c=(18.0, 75.0),
+    )
+    write_protocol(wanted, tmp_path / "protocol.toml")
+    read = read_protocol(tmp_path / "protocol.toml")
+    for name in Protocol.__dataclass_fields__:
+        value = getattr(wanted, name)
+        assert getattr(read, name) == (pytest.approx(value, rel=1e-12) if isinstance(value, float) else value), name
+
+
+def test_tables_that_are_left_out_are_not_done(tmp_path: Path) -> None:
+    (tmp_path / "p.toml").write_text("[faces]\nseconds = 3.0\n")
+    read = read_protocol(tmp_path / "p.toml")
+    assert (len(read.faces), read.face_s, len(read.turn_rates()), read.temperatures_c) == (6, 3.0, 0, ())
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (
+            "[rates]\nturn_rate_min_dps = 5.0\nturn_rate_max_dps = 90.0\nturn_rate_step_dps = 4.0\n",
+            "must divide 85, got 4",
+        ),
+        ("[protocol]\nname = 'x'\n", "rates and turns"),
+        ("[faces]\nsecond = 3.0\n", "second"),
+        ("[temperatures]\nset_points_c = []\n", "set_points_c"),
+    ],
+)
+def test_what_is_wrong_is_named(tmp_path: Path, text: str, told: str) -> None:
+    (tmp_path / "p.toml").write_text(text)
+    with pytest.raises(FileFormatError, match=told):
+        read_protocol(tmp_path / "p.toml")
+
+
+def test_new_keys_are_written_if_stated(tmp_path: Path) -> None:
+    write_protocol(Protocol(), tmp_path / "p.toml")
+    assert "damping" not in (text := (tmp_path / "p.toml").read_text())
+    assert "at =" not in text
+    changed = {protocol_digest(Protocol(faces_at="first")), protocol_digest(Protocol(damping=0.8))}
+    assert len(changed | {protocol_digest(Protocol())}) == 3

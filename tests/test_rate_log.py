@@ -36,11 +36,11 @@ def test_offset_drift_and_rates_of_another_clock_are_found(tmp_path, how, limit_
     turns, missed = cut_dwells(log, [(record, clocks)])
     assert len(turns) == len(dwells)
     assert missed == 0
-    for found, (start, stop, up, rate) in zip(turns, dwells, strict=True):
-        turn = found.turn
+    for result, (start, stop, up, rate) in zip(turns, dwells, strict=True):
+        turn = result.turn
         assert turn.axis == up[1]
-        assert abs(np.degrees(turn.turn_rate) - rate) < 4.0 * np.degrees(found.uncertainty) + 1e-9
-        assert np.degrees(found.uncertainty) < 0.05
+        assert abs(np.degrees(turn.turn_rate) - rate) < 4.0 * np.degrees(result.uncertainty) + 1e-9
+        assert np.degrees(result.uncertainty) < 0.05
         inside = (record.time[[turn.start, turn.stop - 1]] - offset) / (1.0 + drift)
         assert start + 0.3 < inside[0] < inside[1] < stop - 0.3
 
@@ -73,7 +73,7 @@ def test_an_angle_that_wraps_and_semicolons_with_commas_are_read(tmp_path):
     np.testing.assert_allclose(np.diff(other.angle), np.diff(plain.angle), atol=np.radians(0.011))
 
 
-def test_a_log_of_another_run_or_of_another_clock_is_refused_in_one_line(tmp_path):
+def test_log_of_another_run_is_refused(tmp_path):
     record, _, path = bench(tmp_path)
     log = read_rate_log(path)
     rng = np.random.default_rng(3)
@@ -114,7 +114,7 @@ def test_a_log_that_cannot_be_read_says_why(tmp_path, text, complaint):
 
 
 @pytest.mark.parametrize("run", RUNS[:1])
-def test_the_log_of_a_real_stepper_table_gives_the_rates_that_its_commands_do(tmp_path, run):
+def test_log_of_a_real_table_gives_its_commanded_rates(tmp_path, run):
     held = np.load(data_path("ratetable_jig", f"{run}.npz"))
     path = tmp_path / "rates.csv"
     rows = zip(held["t_jig"], held["top_angle_deg"], strict=True)
@@ -122,8 +122,8 @@ def test_the_log_of_a_real_stepper_table_gives_the_rates_that_its_commands_do(tm
     record, turns = turned(run, "bno")
     log = read_rate_log(path)
     clocks = align_clocks(log, record)
-    found, _ = cut_dwells(log, [(record, clocks)])
-    by_rate = {round(np.degrees(each.turn.turn_rate)): each for each in found}
+    result, _ = cut_dwells(log, [(record, clocks)])
+    by_rate = {round(np.degrees(item.turn.turn_rate)): item for item in result}
     show(f"{run}: clocks apart, s", f"{clocks.lag_s:.3f} +- {clocks.lag_uncertainty_s:.3f}", "0.0..0.7 (SOURCE.md)")
     assert 0.0 < abs(clocks.lag_s) < 0.7
     assert len(turns) >= 7

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from testkit.strategies import assert_same, few, records, references
 from undrift.errors import InputError
-from undrift.record import Record, Reference, check_time, sample_rate_of
+from undrift.record import FACES, Record, Reference, Session, Still, Turn, check_time, sample_rate_of
 
 T = [0.0, 0.01, 0.02]
 XYZ = np.arange(9.0).reshape(3, 3)
@@ -32,7 +32,7 @@ def test_a_part_is_the_same_channels_with_fewer_samples(record, data):
 @given(record=records(gaps=True))
 def test_units_go_to_si_and_back(record):
     if {"count", "v"} & {record.gyro_unit, record.accel_unit}:
-        with pytest.raises(InputError, match=r"expected a physical unit, got (count|v). Calibrate first"):
+        with pytest.raises(InputError, match=r"got (count|v)"):
             record.in_si()
         return
     si = record.in_si()
@@ -66,18 +66,18 @@ def test_rate_and_duration_leave_drop_outs_out_of_the_rate():
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
-        ({"time": T}, "gyro or accel readings"),
-        ({"time": T, "gyro": XYZ[:2]}, r"gyro: expected shape \(3, 3\), got \(2, 3\)"),
-        ({"time": T, "gyro": XYZ, "temp_c": [1.0]}, r"temp_c: expected shape \(3,\), got \(1,\)"),
-        ({"time": T, "gyro": XYZ, "gyro_unit": "g"}, "unit of rate: expected one of"),
-        ({"time": T, "gyro": XYZ, "accel_unit": "dps"}, "unit of accel: expected one of"),
+        ({"time": T}, "accel readings"),
+        ({"time": T, "gyro": XYZ[:2]}, r"got \(2, 3\)"),
+        ({"time": T, "gyro": XYZ, "temp_c": [1.0]}, r"got \(1,\)"),
+        ({"time": T, "gyro": XYZ, "gyro_unit": "g"}, "unit of rate"),
+        ({"time": T, "gyro": XYZ, "accel_unit": "dps"}, "unit of accel"),
         (
             {"time": [0.0, 0.02, 0.01], "gyro": XYZ},
-            r"expected strictly increasing seconds, got 1 steps back .* first in row 2",
+            "in row 2",
         ),
-        ({"time": [0.0, 0.0, 0.01], "gyro": XYZ}, "first in row 1"),
-        ({"time": [0.0, np.nan, 0.01], "gyro": XYZ}, "got NaN first in row 1"),
-        ({"time": [0.0], "gyro": XYZ[:1]}, "expected two samples or more, got 1"),
+        ({"time": [0.0, 0.0, 0.01], "gyro": XYZ}, "in row 1"),
+        ({"time": [0.0, np.nan, 0.01], "gyro": XYZ}, "NaN first in"),
+        ({"time": [0.0], "gyro": XYZ[:1]}, "got 1"),
         ({"time": [0.0, np.inf, 1.0], "gyro": XYZ}, "got infinity"),
     ],
 )
@@ -104,11 +104,11 @@ def test_a_reference_knows_its_gaps_and_keeps_unit_quaternions(reference):
 
 
 def test_a_reference_refuses_what_is_no_quaternion():
-    with pytest.raises(InputError, match="q_nb: expected unit quaternions"):
+    with pytest.raises(InputError, match="unit quaternions"):
         Reference(time=T, q_nb=np.ones((3, 4)))
-    with pytest.raises(InputError, match=r"q_nb: expected shape \(3, 4\), got \(3, 3\)"):
+    with pytest.raises(InputError, match=r"got \(3, 3\)"):
         Reference(time=T, q_nb=XYZ)
-    with pytest.raises(InputError, match=r"position: expected shape \(3, 3\)"):
+    with pytest.raises(InputError, match="position"):
         Reference(time=T, q_nb=np.tile([1.0, 0, 0, 0], (3, 1)), position=[[0.0, 0, 0]])
     nearly = Reference(time=T, q_nb=np.tile([1.0005, 0, 0, 0], (3, 1)))
     np.testing.assert_array_equal(nearly.q_nb[:, 0], 1.0)
@@ -142,24 +142,64 @@ def test_arrays_with_their_units_and_a_rate_are_a_record():
             {"gyro": np.zeros((5, 3)), "sample_rate_hz": 10.0},
             "gyro_unit='dps'",
         ),
-        ({"accel": np.zeros((5, 3)), "sample_rate_hz": 10.0}, "accel has no unit"),
+        ({"accel": np.zeros((5, 3)), "sample_rate_hz": 10.0}, "has no unit"),
         (
             {"gyro": np.zeros((3, 50)), "gyro_unit": "dps", "sample_rate_hz": 10.0},
-            r"got \(3, 50\). Time is axis 0",
+            r"got \(3, 50\)",
         ),
-        ({"gyro": np.zeros((5, 3)), "gyro_unit": "dps"}, "sample_rate_hz above 0, got neither"),
-        ({"gyro": np.zeros((5, 3)), "gyro_unit": "dps", "sample_rate_hz": 0.0}, "above 0, got 0 Hz"),
+        ({"gyro": np.zeros((5, 3)), "gyro_unit": "dps"}, "got neither"),
+        ({"gyro": np.zeros((5, 3)), "gyro_unit": "dps", "sample_rate_hz": 0.0}, "got 0 Hz"),
         (
             {"gyro": np.zeros((2, 3)), "gyro_unit": "dps", "sample_rate_hz": 1.0, "time": [0.0, 1.0]},
             "got both",
         ),
-        ({"sample_rate_hz": 10.0}, "gyro or accel readings"),
+        ({"sample_rate_hz": 10.0}, "accel readings"),
         (
             {"gyro": np.zeros((5, 2)), "gyro_unit": "dps", "sample_rate_hz": 10.0},
-            r"gyro: expected shape \(5, 3\), got \(5, 2\)",
+            r"got \(5, 2\)",
         ),
     ],
 )
 def test_arrays_that_leave_something_open_are_refused(given, said):
     with pytest.raises(InputError, match=said):
         Record.from_arrays(**given)
+
+
+# ---- session, Still and Turn: ranges lie inside their recordings, gravity is a gravity
+
+RECORD = Record(time=np.arange(100) / 100, gyro=np.zeros((100, 3)))
+KEYS = {"kind": "calibration", "serial": "A1", "gravity_m_s2": 9.81, "records": (RECORD,)}
+
+
+def test_a_session_holds_what_it_was_given():
+    still, turn = Still(start=0, stop=10, face="+x"), Turn(start=10, stop=100, axis="z", angle=-6.28)
+    session = Session(**KEYS, stills=(still,), turns=(turn,))
+    assert session.stills == (still,)
+    assert session.turns == (turn,)
+    assert session.inputs == ()
+    assert len(FACES) == 6
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"records": ()}, "one recording"),
+        ({"gravity_m_s2": 1.0}, "got 1"),
+        ({"gravity_m_s2": float("nan")}, "local gravity"),
+        (
+            {"stills": (Still(start=50, stop=101),)},
+            r"\[50, 101\) of recording",
+        ),
+        ({"turns": (Turn(start=0, stop=5, recording=1),)}, r"got \[0, 5\) of recording 1"),
+    ],
+)
+def test_a_session_that_does_not_fit_together_is_refused(change, words):
+    with pytest.raises(InputError, match=words):
+        Session(**(KEYS | change))
+
+
+@pytest.mark.parametrize("piece", [Still, Turn])
+@pytest.mark.parametrize(("start", "stop"), [(5, 5), (6, 5), (-1, 5)])
+def test_an_empty_or_negative_range_is_refused(piece, start, stop):
+    with pytest.raises(InputError, match=rf"got \[{start}, {stop}\)"):
+        piece(start=start, stop=stop)

@@ -73,12 +73,12 @@ def test_a_window_that_touches_a_gap_is_never_still():
     assert np.isfinite(spread[26:]).all()
 
 
-def test_held_poses_are_found_where_they_are_and_the_motion_between_is_not():
+def test_held_poses_are_found():
     record = poses(np.random.default_rng(1), [(1, 0, 0), (0, 1, 0), (0, 0, 1), (-1, 0, 0), (0, -1, 0), (0, 0, -1)])
-    found = find_still(record)
-    assert len(found.stills) == 6
-    assert found.reason == ""
-    for k, still in enumerate(found.stills):
+    search = find_still(record)
+    assert len(search.stills) == 6
+    assert search.reason == ""
+    for k, still in enumerate(search.stills):
         start, stop = 700 * k, 700 * k + 500
         assert start <= still.start <= start + 70
         assert stop - 70 <= still.stop <= stop
@@ -87,22 +87,22 @@ def test_held_poses_are_found_where_they_are_and_the_motion_between_is_not():
 def test_a_record_that_never_moves_is_one_still_phase():
     rng = np.random.default_rng(2)
     record = Record(time=np.arange(6000) / FS, gyro=rng.normal(3.0, 0.5, (6000, 3)), gyro_unit="count")
-    found = find_still(record)
-    assert [(s.start, s.stop) for s in found.stills] == [(0, 6000)]
+    search = find_still(record)
+    assert [(s.start, s.stop) for s in search.stills] == [(0, 6000)]
 
 
 def test_a_threshold_in_noise_floors_is_used():
     record = poses(np.random.default_rng(3), [(1, 0, 0), (0, 1, 0)])
-    found = find_still(record, StillSettings(threshold_floors=6.0))
-    assert len(found.stills) == 2
+    search = find_still(record, StillSettings(threshold_floors=6.0))
+    assert len(search.stills) == 2
     nothing = find_still(record, StillSettings(threshold_floors=1e-6))
     assert nothing.stills == ()
-    assert "longest rest is too short" in nothing.reason
+    assert "too short" in nothing.reason
 
 
 def test_a_record_shorter_than_a_window_says_so():
     record = Record(time=np.arange(50) / FS, gyro=np.zeros((50, 3)))
-    with pytest.raises(InputError, match=r"longer than one window of 1 s, got 0\.49 s"):
+    with pytest.raises(InputError, match=r"got 0\.49 s"):
         find_still(record)
 
 
@@ -112,20 +112,20 @@ def rates_of(record, turns, stills):
     return np.array([record.gyro[turn.start : turn.stop].mean(axis=0) for turn in turns.plateaus]) - rest
 
 
-def test_a_plain_steady_turn_about_the_vertical_is_a_plateau_and_not_a_still_phase():
+def test_steady_turn_is_a_plateau_and_no_still_phase():
     rng = np.random.default_rng(4)
     rate = np.concatenate(
         [np.zeros(800), np.full(800, 20.0), np.zeros(800), np.full(800, 25.0), np.full(800, 26.5), np.zeros(800)]
     )
     gyro = np.column_stack((np.zeros_like(rate), np.zeros_like(rate), rate)) + rng.normal(1.0, 0.05, (len(rate), 3))
     record = Record(time=np.arange(len(rate)) / FS, gyro=gyro, gyro_unit="dps")
-    found = find_still(record)
-    assert len(found.stills) == 3
-    assert all(np.abs(rate[s.start : s.stop]).max() == 0.0 for s in found.stills)
-    turns = find_turns(record, found.stills)
+    search = find_still(record)
+    assert len(search.stills) == 3
+    assert all(np.abs(rate[s.start : s.stop]).max() == 0.0 for s in search.stills)
+    turns = find_turns(record, search.stills)
     assert [t.axis for t in turns.plateaus] == ["z", "z", "z"]
     # 800 samples of 0.05 deg/s noise, smoothed: means are good to 0.002 deg/s; 0.01 is five sigma
-    np.testing.assert_allclose(rates_of(record, turns, found.stills)[:, 2], [20.0, 25.0, 26.5], atol=0.01)
+    np.testing.assert_allclose(rates_of(record, turns, search.stills)[:, 2], [20.0, 25.0, 26.5], atol=0.01)
 
 
 def test_rotations_between_stills_carry_their_angle():
@@ -140,8 +140,8 @@ def test_rotations_between_stills_carry_their_angle():
 def test_where_each_window_has_a_gap_no_turn_is_found(rests):
     gyro = np.full((1000, 3), 0.2)
     gyro[7::50] = np.nan
-    found = find_turns(Record(time=np.arange(1000) / 100.0, gyro=gyro), rests)
-    assert (found.plateaus, found.rotations, found.rotation_angle.shape) == (
+    turns = find_turns(Record(time=np.arange(1000) / 100.0, gyro=gyro), rests)
+    assert (turns.plateaus, turns.rotations, turns.rotation_angle.shape) == (
         (),
         (),
         (0, 3),
@@ -154,27 +154,19 @@ def test_turns_need_a_gyroscope():
         find_turns(Record(time=time, accel=np.zeros((500, 3))), ())
 
 
-def test_faces_are_named_after_the_axis_that_points_up_and_free_poses_are_not():
+def test_faces_are_named_after_the_axis_that_points_up():
     directions = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1), (0.6, 0.8, 0.0)]
     record = poses(np.random.default_rng(6), directions)
     stills = find_still(record).stills
     assert faces_at(record, stills) == ["+x", "-x", "+y", "-y", "+z", "-z", None]
     counts = Record(time=record.time, accel=record.accel * 400.0 + 32768.0, accel_unit="count")
     assert faces_at(counts, stills) == ["+x", "-x", "+y", "-y", "+z", "-z", None]
-    with pytest.raises(InputError, match=r"expected five poses or more .* got 2"):
+    with pytest.raises(InputError, match="got 2"):
         faces_at(counts, stills[:2])
 
 
-@pytest.mark.parametrize("unit", [0, 1, 2])
-def test_the_hand_held_mpu9150_sessions_hold_17_to_22_phases(unit):
-    d = table(data_path("multipos_mpu9150", f"imu{unit}.log.gz"), delimiter=None)
-    found = find_still(Record(time=np.arange(len(d)) / FS, accel=d[:, :3], gyro=d[:, 3:6]))
-    show(f"imu{unit} still phases", len(found.stills), "17..22")
-    assert 17 <= len(found.stills) <= 22
-
-
 @pytest.mark.parametrize("missing", ["", "gyro", "accel"])
-def test_the_hand_held_ferraris_session_shows_six_faces_and_three_full_turns(missing):
+def test_real_session_shows_six_faces_and_three_turns(missing):
     record = nilspod()
     if missing:
         record = Record(
@@ -183,41 +175,22 @@ def test_the_hand_held_ferraris_session_shows_six_faces_and_three_full_turns(mis
             accel=None if missing == "accel" else record.accel,
             gyro_unit="dps",
         )
-    found = find_still(record)
-    show(f"ferraris still phases without {missing or 'nothing'}", len(found.stills), 13)
-    assert len(found.stills) == 13
+    search = find_still(record)
+    show(f"ferraris still phases without {missing or 'nothing'}", len(search.stills), 13)
+    assert len(search.stills) == 13
     if missing != "gyro":
-        turns = find_turns(record, found.stills)
+        turns = find_turns(record, search.stills)
         full = np.abs(turns.rotation_angle).max(axis=1) > 300.0
         assert [t.axis for t, is_full in zip(turns.rotations, full, strict=True) if is_full] == ["x", "y", "z"]
         largest = np.sort(np.abs(turns.rotation_angle).max(axis=1))[-3:]
         show("integrals of the three turns, deg", largest, "353.7 359.4 370.0 +- 0.5")
         np.testing.assert_allclose(largest, [353.7, 359.4, 370.0], atol=0.5)
     if missing != "accel":
-        assert set(faces_at(record, found.stills)) == {"+x", "-x", "+y", "-y", "+z", "-z"}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "name",
-    ["02_undisturbed_slow_rotation_B", "03_undisturbed_slow_rotation_C", "32_disturbed_attached_magnet_1cm"],
-)
-def test_the_broad_trials_rest_before_and_after_the_motion(name):
-    h5py = pytest.importorskip("h5py")
-    with h5py.File(data_path("broad", f"{name}.hdf5")) as file:
-        gyro, accel, moving = file["imu_gyr"][:], file["imu_acc"][:], file["movement"][:]
-    record = Record(time=np.arange(len(gyro)) / 285.714, gyro=gyro, accel=accel)
-    stills = find_still(record).stills
-    lengths = [record.time[s.stop - 1] - record.time[s.start] for s in stills]
-    show(f"{name[:2]} rests, s", np.round(lengths, 1), "26..48 before, 21..46 after")
-    assert len(stills) == 2
-    assert 26.0 <= lengths[0] <= 48.0
-    assert 21.0 <= lengths[1] <= 46.0
-    assert not any(moving[s.start : s.stop].any() for s in stills)
+        assert set(faces_at(record, search.stills)) == {"+x", "-x", "+y", "-y", "+z", "-z"}
 
 
 @pytest.mark.parametrize("name", ["giro_test_filt", "giro_test_non_filt"])
-def test_the_rate_table_steps_are_seven_plateaus_about_y_and_none_is_still(name):
+def test_rate_table_steps_are_seven_plateaus(name):
     record = jig(name)
     stills = find_still(record).stills
     turns = find_turns(record, stills)
@@ -234,13 +207,13 @@ def test_the_rate_table_steps_are_seven_plateaus_about_y_and_none_is_still(name)
     ids=["all", "accel alone", "gyro alone", "units unknown"],
 )
 def test_a_worn_sensor_has_no_still_phase_and_none_is_invented(change):
-    found = find_still(worn(**change))
-    show("worn", found.reason)
-    assert found.stills == ()
-    assert found.reason.startswith("no still phase: the quietest 1 s windows vary by")
+    search = find_still(worn(**change))
+    show("worn", search.reason)
+    assert search.stills == ()
+    assert search.reason.startswith("no still phase")
 
 
-def test_counts_of_a_body_that_never_rests_are_not_taken_for_one_long_rest() -> None:
+def test_counts_of_a_moving_body_are_no_long_rest() -> None:
     time = np.arange(1400) / 100.0
     rng = np.random.default_rng(3)
     sway = np.sin(2.0 * np.pi * 0.9 * time + 0.4 * np.sin(time))[:, None]
@@ -260,12 +233,12 @@ def test_counts_of_a_body_that_never_rests_are_not_taken_for_one_long_rest() -> 
 def padded(record, before, after):
     rows = [np.repeat(v[:1], before, axis=0) for v in (record.gyro, record.accel)]
     ends = [np.repeat(v[-1:], after, axis=0) for v in (record.gyro, record.accel)]
-    gyro, accel = (np.concatenate(each) for each in zip(rows, (record.gyro, record.accel), ends, strict=True))
+    gyro, accel = (np.concatenate(item) for item in zip(rows, (record.gyro, record.accel), ends, strict=True))
     return Record(time=np.arange(len(gyro)) / 100.0, gyro=gyro, accel=accel)
 
 
 @pytest.mark.parametrize("moving", [False, True])
-def test_rows_that_repeat_the_first_or_the_last_reading_are_left_out(moving):
+def test_rows_that_repeat_at_the_ends_are_left_out(moving):
     rng, t = np.random.default_rng(3), np.arange(1000) / 100.0
     swing = np.stack([np.sin(2.0 * t + k) for k in range(3)], axis=1) * moving
     record = Record(

@@ -28,11 +28,11 @@ def test_a_folder_is_made_once_and_again_where_its_making_failed(tmp_path):
         (path / "half").touch()
         raise ValueError
 
-    made = []
-    for make in (fails, made.append, made.append):
+    results = []
+    for make in (fails, results.append, results.append):
         try:
             assert folder_made_once(tmp_path, "demo", make) == tmp_path / "demo"
         except ValueError:
             assert make is fails
-    assert made == [tmp_path / "demo"]
+    assert results == [tmp_path / "demo"]
     assert [path.name for path in (tmp_path / "demo").iterdir()] == ["made"]

@@ -38,27 +38,27 @@ def warm_up():
 
     up = [0.0, 0.0, 16384.0]
     static = StaticDrift(temp_c=nodes, gyro_offset=over_bins(record.gyro), accel_offset=over_bins(record.accel) - up)
-    made = device(g=True)
-    gyro = replace(made.gyro, matrix=made.gyro.matrix / 1e-3 * RADIAN_PER_DEGREE / 16.4)
-    accel = replace(made.accel, matrix=made.accel.matrix / 5e-3 * STANDARD_GRAVITY / 16384.0)
-    return record, replace(made, device="", gyro=gyro, accel=accel, drift=DriftTables(static=static))
+    model = device(g=True)
+    gyro = replace(model.gyro, matrix=model.gyro.matrix / 1e-3 * RADIAN_PER_DEGREE / 16.4)
+    accel = replace(model.accel, matrix=model.accel.matrix / 5e-3 * STANDARD_GRAVITY / 16384.0)
+    return record, replace(model, device="", gyro=gyro, accel=accel, drift=DriftTables(static=static))
 
 
 def in_motion():
     """A BROAD trial: full matrix, g-sensitivity, half a code step back."""
     record, _ = trial(5)
-    made = device(unit="si", g=True, adc=AdcModel(gyro_lsb=[LSB] * 3, gyro_rounding="toward_zero"))
-    return record, replace(made, device=record.device)
+    model = device(unit="si", g=True, adc=AdcModel(gyro_lsb=[LSB] * 3, gyro_rounding="toward_zero"))
+    return record, replace(model, device=record.device)
 
 
 def of_the_note():
     """A sit-to-stand of a simulated ENC-03J whose board warms from 20 to 35 degC, true tables over 18 to 75 degC."""
     rng = np.random.default_rng(11)
-    made = random_device(rng, grade="enc03j_3031")
+    model = random_device(rng, grade="enc03j_3031")
     rates = np.arange(-100.0, 101.0, 5.0) * RADIAN_PER_DEGREE
-    tables = true_tables(made, np.linspace(18.0, 75.0, 115), rates)
-    record = simulate_trial("sit_to_stand", made, rng=rng, temp_c=(20.0, 35.0)).record
-    return record, replace(true_calibration(made), drift=tables)
+    tables = true_tables(model, np.linspace(18.0, 75.0, 115), rates)
+    record = simulate_trial("sit_to_stand", model, rng=rng, temp_c=(20.0, 35.0)).record
+    return record, replace(true_calibration(model), drift=tables)
 
 
 @pytest.mark.slow
@@ -88,7 +88,7 @@ def test_firmware_corrects_a_recording_as_python_does(recording, tmp_path):
 
 
 @pytest.mark.parametrize("arithmetic", ["double", "float"])
-def test_firmware_takes_the_lag_of_the_thermometer_off_a_recording_as_python_does(arithmetic, tmp_path):
+def test_firmware_removes_the_thermometer_lag_as_python_does(arithmetic, tmp_path):
     record, calibration = warm_up()
     lagging = replace(calibration, drift=replace(calibration.drift, lag_s=84.0, lag_smooth_s=20.0))
     exported = export_c(lagging)

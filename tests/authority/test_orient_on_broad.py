@@ -20,7 +20,7 @@ TRIALS = {
 
 
 @pytest.mark.parametrize("name", TRIALS)
-def test_the_tilt_of_ten_seconds_at_rest_is_the_optics_within_the_mounting(name):
+def test_tilt_at_rest_agrees_with_the_optics(name):
     record, reference = read_broad(data_path("broad", f"{name}.hdf5"))
     moves, fs = int(np.argmax(reference.moving > 0.5)), record.sample_rate_hz
     still = Still(start=moves - int(11.0 * fs), stop=moves - int(1.0 * fs))

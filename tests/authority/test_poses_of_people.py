@@ -13,10 +13,6 @@ from testkit.motion_of_poses import motion_from_poses
 from undrift.frames import rotate
 from undrift.io.mocap import Markers, pose_from_cluster, read_c3d, read_trc
 from undrift.io.reference import Body, device_on, find_body
-from undrift.orientation import orient
-from undrift.record import Record, Still
-from undrift.sim.device.presets import preset
-from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.poses import PoseSettings
 
 FILES = {
@@ -41,7 +37,7 @@ def lean_deg(body: Body):
     return np.degrees(np.arccos(rotate(body.reference.q_nb, np.array([0.0, 0.0, 1.0]))[:, 2]))
 
 
-def test_the_trunk_of_a_sit_to_stand_leans_43_deg_and_pitches_at_136_deg_per_s():
+def test_trunk_leans_43_deg_and_pitches_at_136_deg_per_s():
     markers = read("STS1")
     trunk = find_body(markers, "trunk")
     c7 = markers.pick(["C7"])[:, 0]
@@ -98,31 +94,6 @@ def test_every_trial_becomes_the_motion_of_a_device_at_l5(trial):
     assert np.abs(start_to_end[:2]).max() < 0.35
 
 
-@pytest.mark.parametrize("trial", FILES)
-def test_every_trial_runs_through_the_device_of_the_note(trial):
-    body = find_body(read(trial), "trunk")
-    motion = motion_from_poses(body.reference, gravity_m_s2=G, sample_rate_hz=1000.0, settings=SETTINGS)
-    model = preset("enc03j_3031")
-    said = simulate_device(model, motion, rng=np.random.default_rng(7))
-    # In the input's unit, and the scale of this device (10 % off) taken out: what is left is delay, offset, noise and drift.
-    read_back = said.gyro.true + sum(said.gyro.contributions.values())
-    true, pitch = said.gyro.true[:, 1], np.linalg.solve(model.gyro.scale.matrix, read_back.T)[1]
-    stop = len(true) - 60
-    lag = int(np.argmax([true[:stop] @ pitch[k : stop + k] for k in range(60)]))
-    design = np.column_stack((true[:stop], np.ones(stop)))
-    gain, offset = np.linalg.lstsq(design, pitch[lag : stop + lag])[0]
-    left = np.degrees(np.std(pitch[lag : stop + lag] - design @ [gain, offset]))
-    peaks = np.degrees(np.abs(true).max()), np.degrees(np.abs(pitch - offset).max())
-    show(f"{trial}: peak trunk pitch rate true, read, deg/s", f"{peaks[0]:.1f}, {peaks[1]:.1f}", "within 1 deg/s")
-    show("   gain; delay, ms; left, deg/s rms", f"{gain:.3f}; {lag}; {left:.2f}", "1 +- 0.01; 17 to 23; 1")
-    assert not said.gyro.saturated.any()
-    assert not said.accel.saturated.any()
-    assert peaks[1] == pytest.approx(peaks[0], abs=1.0)
-    assert gain == pytest.approx(1.0, abs=0.01)
-    assert 17 <= lag <= 23  # second order at 11.1 Hz: sqrt(2) / (2 pi f_c) = 20.3 ms
-    assert left < 1.0
-
-
 def test_a_lost_marker_is_a_gap_and_not_a_jump():
     markers = read("STSAsym1")
     lost = np.flatnonzero(np.isnan(markers.pick(["C7"])[:, 0, 0]))
@@ -141,23 +112,3 @@ def test_markers_lost_for_long_mask_the_body():
     known = np.round([100 * thorax.valid.mean(), 100 * motion.valid.mean()], 1).tolist()
     show("squat.c3d: thorax visible, %; known after trimming, %", known, "")
     assert motion.valid.mean() < thorax.valid.mean() < 0.85
-
-
-@pytest.mark.parametrize("trial", ["STS1", "squats1"])
-def test_a_device_worn_another_way_up_is_told_which_axes_point_up_and_forward(trial):
-    """The pitch by +x and +z is -180 to 180 deg with y up, in a captured sit-to-stand."""
-    device = device_on(find_body(read(trial), "pelvis"))
-    motion = motion_from_poses(device, gravity_m_s2=G, sample_rate_hz=100.0, settings=SETTINGS)
-    known, still = motion.valid > 0.0, Still(start=0, stop=60)
-    for worn, up, forward in (
-        (np.eye(3), None, None),
-        (np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), "+x", "y"),
-        (np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]), "-y", "z"),
-    ):
-        gyro, accel = motion.rate_b[known] @ worn.T, motion.force_b[known] @ worn.T
-        found = orient(Record(time=motion.time[known], gyro=gyro, accel=accel), still)
-        items = [item for item in found.findings if item.code == "orient.pitch_axes"]
-        show(f"{trial}, up {up}", [item.text for item in items])
-        assert [(item.values["up"], item.values["forward"]) for item in items] == (
-            [] if up is None else [(up, forward)]
-        )

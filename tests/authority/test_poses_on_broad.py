@@ -56,8 +56,8 @@ def gyro_residual(number, cutoff_hz, order):
     said = zero_phase(record.gyro, cutoff_hz, sample_rate_hz=record.sample_rate_hz, order=order)
     use = motion.valid * motion.moving > 0.0
     design = np.column_stack((motion.rate_b[use], np.ones(use.sum())))
-    left = said[use] - design @ np.linalg.lstsq(design, said[use])[0]
-    return np.degrees(rms(left)), np.degrees(rms(said[use]))
+    residual = said[use] - design @ np.linalg.lstsq(design, said[use])[0]
+    return np.degrees(rms(residual)), np.degrees(rms(said[use]))
 
 
 def accel_fit(motion, said, use):
@@ -82,11 +82,11 @@ def accel_residual(number, cutoff_hz, order):
     spline = fit_pose_spline(poses, PoseSettings(cutoff_hz=cutoff_hz, position_cutoff_hz=cutoff_hz, order=order))
     said = zero_phase(record.accel, cutoff_hz, sample_rate_hz=record.sample_rate_hz, order=order)
     tried = np.arange(0.0, 0.0051, 0.001)
-    left = []
+    residuals = []
     for delay in tried:
         motion = spline.at(record.time - delay, BERLIN)
-        left.append(rms(accel_fit(motion, said, motion.valid * motion.moving > 0.0)[0]))
-    bend, slope, _ = np.polyfit(tried, np.square(left), 2)
+        residuals.append(rms(accel_fit(motion, said, motion.valid * motion.moving > 0.0)[0]))
+    bend, slope, _ = np.polyfit(tried, np.square(residuals), 2)
     delay = float(-slope / (2.0 * bend))
     motion = spline.at(record.time - delay, BERLIN)
     use = motion.valid * motion.moving > 0.0
@@ -95,15 +95,15 @@ def accel_residual(number, cutoff_hz, order):
 
 
 @pytest.mark.slow
-def test_the_gyro_differs_from_the_poses_by_less_than_2_8_deg_per_s_at_20_hz():
-    left = {number: gyro_residual(number, 20.0 * EACH_PASS, 2) for number in FILES}
-    for number, (residual, signal) in left.items():
+def test_gyro_differs_from_the_poses_by_less_than_2_8_dps():
+    error = {number: gyro_residual(number, 20.0 * EACH_PASS, 2) for number in FILES}
+    for number, (residual, signal) in error.items():
         show(
             f"trial {number:02d} gyro, 20 Hz each pass, deg/s rms", f"{residual:.2f} of {signal:.0f}", KNOWN[number][0]
         )
         # Frames instead of lines between them: the earlier analysis took the lines, which round off fast motion (07) and noise.
         assert residual == pytest.approx(KNOWN[number][0], rel=0.11)
-    mean = np.mean([residual for residual, _ in left.values()])
+    mean = np.mean([residual for residual, _ in error.values()])
     show("mean over trials, gyro at 20 Hz, deg/s rms per axis", f"{mean:.2f}", 2.8)
     assert mean <= 2.8
     sharp = np.mean([gyro_residual(number, 20.0, ORDER)[0] for number in FILES])
@@ -114,9 +114,9 @@ def test_the_gyro_differs_from_the_poses_by_less_than_2_8_deg_per_s_at_20_hz():
 
 
 @pytest.mark.slow
-def test_the_accelerometer_differs_from_the_poses_by_less_than_0_17_m_s2_at_10_hz():
-    left = {number: accel_residual(number, 10.0 * EACH_PASS, 2) for number in FILES}
-    for number, (residual, signal, arm, delay) in left.items():
+def test_accel_differs_from_the_poses_by_less_than_0_17_m_s2():
+    error = {number: accel_residual(number, 10.0 * EACH_PASS, 2) for number in FILES}
+    for number, (residual, signal, arm, delay) in error.items():
         show(
             f"trial {number:02d} accelerometer, 10 Hz each pass, m/s2 rms",
             f"{residual:.3f} of {signal:.2f}. Arm {np.round(1e3 * arm, 1)} mm, delay {1e3 * delay:.2f} ms",
@@ -124,16 +124,16 @@ def test_the_accelerometer_differs_from_the_poses_by_less_than_0_17_m_s2_at_10_h
         )
         assert residual == pytest.approx(KNOWN[number][1], abs=0.006)
         assert 1e-3 < delay < 4e-3
-    mean = np.mean([figures[0] for figures in left.values()])
+    mean = np.mean([figures[0] for figures in error.values()])
     show("mean over trials, accelerometer at 10 Hz, m/s2 rms per axis", f"{mean:.3f}", 0.17)
     assert mean <= 0.17
-    arms = np.array([figures[2] for number, figures in left.items() if number in (7, 9)])
+    arms = np.array([figures[2] for number, figures in error.items() if number in (7, 9)])
     show("lever arm in the two fast trials, mm", np.round(1e3 * arms, 1).tolist(), "about 9 mm; 1.5 mm of one another")
     assert np.linalg.norm(arms, axis=1) == pytest.approx(0.008, abs=0.0015)
     assert np.abs(arms[0] - arms[1]).max() < 1.5e-3  # one board, one device
 
 
-def test_long_gaps_of_the_optics_are_masked_and_nothing_is_drawn_across_them():
+def test_long_gaps_of_the_optics_are_masked():
     _, reference = trial(35)
     poses = native_poses(reference)
     spline = fit_pose_spline(poses)

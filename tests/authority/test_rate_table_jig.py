@@ -26,16 +26,16 @@ def measured(run, sensor):
 @pytest.mark.slow
 @pytest.mark.parametrize(("sensor", "status"), [("bno", "marginal"), ("lsm", "bad")])
 @pytest.mark.parametrize("run", RUNS)
-def test_one_axis_is_calibrated_and_a_scale_that_cannot_be_the_stated_one_is_a_bad_verdict(run, sensor, status):
+def test_wrong_stated_scale_of_one_axis_is_a_bad_verdict(run, sensor, status):
     record, turns = turned(run, sensor)
     session = Session(kind="calibration", serial="jig", gravity_m_s2=9.81, records=(record,), turns=turns)
-    made = calibrate(session)
-    scale = made.gyro.scale_factor * np.pi / 180.0
+    calibration = calibrate(session)
+    scale = calibration.gyro.scale_factor * np.pi / 180.0
     show(f"{run} {sensor} scale x, y, z", np.round(scale, 3), "1, 1.004 or 0.85, 1")
-    assert made.verdict.status == status
-    np.testing.assert_allclose(made.gyro.forward_matrix[[0, 2], [0, 2]] * np.pi / 180.0, 1.0, atol=1e-9)
+    assert calibration.verdict.status == status
+    np.testing.assert_allclose(calibration.gyro.forward_matrix[[0, 2], [0, 2]] * np.pi / 180.0, 1.0, atol=1e-9)
     if sensor == "lsm":
-        off = only(made.verdict.findings, "gyro.scale_factor")
+        off = only(calibration.verdict.findings, "gyro.scale_factor")
         assert (off.level, "Gyroscope y" in off.sentence) == ("fail", True)
         assert -15.5 < off.values["off_percent"] < -14.0
 
@@ -65,13 +65,13 @@ def test_the_bosch_sensor_is_within_its_line_and_scale(run):
 
 @pytest.mark.parametrize("run", RUNS)
 @pytest.mark.parametrize("tolerance", [0.01, 0.03])
-def test_the_wrong_conversion_of_the_st_sensor_is_found_and_called_implausible(run, tolerance):
+def test_wrong_conversion_of_the_st_sensor_is_refused(run, tolerance):
     dwells = measured(run, "lsm")
     fit = fit_rate_table(dwells)
     scale = fit.model.forward_matrix[1, 1] * np.pi / 180.0
     show(f"{run} LSM scale", f"{scale:.4f}", "0.848..0.855; 30.5 / 35 = 0.872 of the true sensitivity")
     assert 0.848 <= round(scale, 3) <= 0.855
-    with pytest.raises(Implausible, match=f"within {100 * tolerance:g} % of its nominal value, got 0.8[45]") as caught:
+    with pytest.raises(Implausible) as caught:
         fit_rate_table(dwells, scale_tolerance=tolerance)
     assert caught.value.ratio == pytest.approx(scale, rel=0.01)  # the check takes the line before the fit
 

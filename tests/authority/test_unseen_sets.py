@@ -35,8 +35,8 @@ def encoder(which: str) -> tuple[Record, np.ndarray]:
 @pytest.mark.parametrize(("which", "axes"), [("yaw", "z"), ("roll", "xyz")])
 def test_offset_from_motion_holds_the_encoder_or_keeps_its_prior(which: str, axes: str) -> None:
     record, angle = encoder(which)
-    found = fit_motion(record.in_units("rad/s", "m/s2"), None).offset
-    offset, spread = np.degrees(found.rate), np.degrees(np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2)))
+    result = fit_motion(record.in_units("rad/s", "m/s2"), None).offset
+    offset, spread = np.degrees(result.rate), np.degrees(np.sqrt(np.diagonal(result.covariance, axis1=1, axis2=2)))
     turned = np.cumsum(record.gyro * np.diff(record.time, prepend=0.0)[:, None], axis=0)
     known = np.column_stack((angle, record.time, np.ones(len(angle))))
     true = np.linalg.lstsq(known, turned, rcond=None)[0][1]  # rotation minus that of the encoder, per second
@@ -49,8 +49,8 @@ def test_offset_from_motion_holds_the_encoder_or_keeps_its_prior(which: str, axe
         assert abs(offset[:, k].mean() - true[k]) < 3.0 * spread[:, k].max()
     if which == "yaw":  # gravity shows no turn about the vertical
         assert np.abs(offset[:, 2]).max() < 1e-3
-        assert spread[:, 2].min() > 0.99 * found.prior[2] / RADIAN_PER_DEGREE
-        assert only(found.findings, "correct.motion_offset_kept").values["axes"] == "z"
+        assert spread[:, 2].min() > 0.99 * result.prior[2] / RADIAN_PER_DEGREE
+        assert only(result.findings, "correct.motion_offset_kept").values["axes"] == "z"
 
 
 @pytest.mark.parametrize("which", ["yaw", "roll"])
@@ -83,7 +83,7 @@ def test_motion_of_analog_gyroscopes_holds_their_gains_by_optics() -> None:
     assert "motion.prior" in [item.code for item in model.verdict.findings]
 
 
-def test_matrix_and_offset_of_24_poses_leave_the_residual_that_is_stated() -> None:
+def test_residual_of_24_poses_is_the_stated_one() -> None:
     raw = G * loadmat(data_path("poses_and_turns_cvut", "acc24.mat"))["ACC_meas"].T
     fit = fit_norm(raw, gravity=G, variances=np.full(raw.shape, 1e-8), quadratic_sd=QUADRATIC_SD)
     written = np.linalg.norm((raw - fit.offset) @ fit.matrix.T, axis=1) - G
@@ -116,7 +116,7 @@ def test_tumbling_with_reversed_axes_is_refused_with_both_causes() -> None:
     assert "y" in str(caught.value)
 
 
-def test_tumbling_with_the_true_axes_gives_scales_near_the_data_sheet() -> None:
+def test_tumbling_gives_scales_near_the_data_sheet() -> None:
     model = calibrate_from_motion([tumbled((-1.0, -1.0, 1.0))]).gyro
     assert model is not None
     scale, sigma = np.diag(model.matrix) / RADIAN_PER_DEGREE, model.standard_uncertainty[[0, 4, 8]] / RADIAN_PER_DEGREE
@@ -124,7 +124,7 @@ def test_tumbling_with_the_true_axes_gives_scales_near_the_data_sheet() -> None:
     assert (np.abs(scale - 1.0) < 0.03).all()
 
 
-def test_an_hour_at_rest_gives_the_white_noise_of_a_course_sensor() -> None:
+def test_hour_at_rest_gives_the_white_noise() -> None:
     file = data_path("course_icm20948", "a_part5_gyro_1hour.csv")
     counts = np.genfromtxt(file, delimiter=",", skip_header=1, usecols=(0, 1, 2))
     fit = fit_noise(Record(time=np.linspace(0.0, 3600.0, len(counts)), gyro=counts, gyro_unit="count"))

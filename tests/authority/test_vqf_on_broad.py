@@ -24,9 +24,9 @@ def test_the_table_of_the_page_is_what_the_trials_give():
     stated = {
         f"{number}{device}": [float(cell) for cell in re.findall(r"[\d.]+", text)] for number, device, text in cells
     }
-    found = {row.name[:2] + row.device: [getattr(row, key) for key in KEYS] for row in vqf_trials.rows()}
-    assert stated.keys() == found.keys()
-    for key, values in found.items():
+    result = {row.name[:2] + row.device: [getattr(row, key) for key in KEYS] for row in vqf_trials.rows()}
+    assert stated.keys() == result.keys()
+    for key, values in result.items():
         show(f"{key}: raw, corrected, with prior, strapdown, deg", np.round(values, 2), stated[key])
         np.testing.assert_allclose(values, stated[key], atol=0.02)  # deg: rounding, and another build of the filter
 
@@ -57,9 +57,9 @@ def test_the_offset_of_the_first_rest_keeps_strapdown_on_course():
 
 def test_the_stated_drift_is_of_the_size_that_optics_see():
     record, reference = trial(5)
-    found = orient(record)
-    (item,) = (one for one in found.findings if "drift_deg" in one.values)
-    error = vqf_trials.total_error_deg(found.q_nb, reference)
+    orientation = orient(record)
+    (item,) = (finding for finding in orientation.findings if "drift_deg" in finding.values)
+    error = vqf_trials.total_error_deg(orientation.q_nb, reference)
     show("drift stated, deg; seen as rms over the motion, deg", (item.values["drift_deg"], error))
     assert item.level == "warn"
     # the end is about 1.7 times the rms of a straight course, and the offset's direction turns with the device

@@ -17,6 +17,7 @@ from testkit.published_poses import PublishedFit, fit_as_published, variance_wit
 from undrift.calibration.calibrate import calibrate
 from undrift.model import TriadModel
 from undrift.record import Record, Session
+from undrift.units import STANDARD_GRAVITY
 
 GRAVITY = 9.81744  # m/s2, as the demonstration states it
 FACTORY_ACCEL, FACTORY_GYRO = np.array([415.0, 413.0, 415.0]), np.array([4778.0, 4758.0, 4766.0])
@@ -52,28 +53,6 @@ def parts(model: TriadModel | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return 1.0 / np.diag(matrix), matrix / np.diag(matrix)
 
 
-def test_the_certificate_is_compared_by_its_own_definition_of_scale() -> None:
-    """Three definitions of a scale factor differ by more than the limit of the comparison where axes lean; one is compared."""
-    gyro = ours().gyro
-    assert gyro is not None
-    forward = np.linalg.inv(gyro.model.matrix)
-    by = {
-        DEFINITION: parts(gyro.model)[0],
-        "length of a row of the forward matrix (scale_factor)": np.linalg.norm(forward, axis=1),
-        "1 / length of a column of the correction matrix": 1.0 / np.linalg.norm(gyro.model.matrix, axis=0),
-        "diagonal of the forward matrix": np.diag(forward),
-    }
-    for name, scale in by.items():
-        show(f"scale against the certificate by {name}, %", np.round(100.0 * (scale / FACTORY_GYRO - 1.0), 3))
-    np.testing.assert_allclose(gyro.model.scale_factor, np.linalg.norm(forward, axis=1), rtol=1e-12)
-    # T of the goldens: z of the rates leans by 0.0536 to y and 0.0011 to x, half of which squared is the row's excess in length.
-    row, diagonal = gyro.model.scale_factor, np.diag(forward)
-    t = parts(gyro.model)[1]
-    lean = 0.5 * (t**2).sum(axis=1) - 0.5
-    np.testing.assert_allclose(row / diagonal - 1.0, lean, atol=0.25 * lean.max())
-    assert np.abs(row / by[DEFINITION] - 1.0).max() > 1e-3  # 0.1 %: not the same figure
-
-
 def test_the_opening_rest_has_the_published_variance() -> None:
     accel = session().accel
     assert accel is not None
@@ -86,12 +65,12 @@ def test_the_opening_rest_has_the_published_variance() -> None:
 
 
 def test_the_table_of_thresholds_is_the_published_one() -> None:
-    found = published()
-    assert found.stills == [42, 40, 39, 38, 38, 38, 38, 38, 38]
+    fit = published()
+    assert fit.stills == [42, 40, 39, 38, 38, 38, 38, 38, 38]
     costs = [0.134724, 0.131345, 0.126126, 0.120558, 0.120131, 0.120586, 0.121338, 0.121422, 0.138240]
-    show("summed costs", np.round(found.costs, 6), costs)
-    np.testing.assert_allclose(found.costs, costs, atol=1e-6)  # printed to six decimals
-    assert found.multiples[int(np.argmin(found.costs))] == 6.0
+    show("summed costs", np.round(fit.costs, 6), costs)
+    np.testing.assert_allclose(fit.costs, costs, atol=1e-6)  # printed to six decimals
+    assert fit.multiples[int(np.argmin(fit.costs))] == 6.0
 
 
 def test_the_published_accelerometer_comes_back() -> None:
@@ -105,15 +84,15 @@ def test_the_published_accelerometer_comes_back() -> None:
 
 
 def test_the_published_gyroscope_comes_back() -> None:
-    found = published()
-    scale, t = parts(found.gyro_matrix)
+    fit = published()
+    scale, t = parts(fit.gyro_matrix)
     show("scale, counts per rad/s", scale, "[4777.96, 4764.21, 4773.66]")
     np.testing.assert_allclose(scale, [4777.96, 4764.21, 4773.66], rtol=1e-4)
-    np.testing.assert_allclose(found.gyro_offset, [32777.13994, 32459.80288, 32511.84746], atol=0.1)
+    np.testing.assert_allclose(fit.gyro_offset, [32777.13994, 32459.80288, 32511.84746], atol=0.1)
     # another integration rule and interval ends move T by 3e-5: a tenth of its standard uncertainty
     np.testing.assert_allclose(t[np.triu_indices(3, 1)], [0.00593634, 0.00111101, -0.05355686], atol=5e-5)
     np.testing.assert_allclose(t[np.tril_indices(3, -1)], [0.00808812, 0.02530672, -0.00255130], atol=5e-5)
-    assert found.moves == 37
+    assert fit.moves == 37
 
 
 def test_the_variant_with_means_comes_back() -> None:
@@ -129,7 +108,7 @@ def test_the_variant_with_means_comes_back() -> None:
     assert fit.model.rms_residual < 0.98e-3
 
 
-def test_both_rules_agree_with_the_factory_certificate_within_a_quarter_per_cent() -> None:
+def test_both_rules_agree_with_the_factory_certificate() -> None:
     of_gyro = ours().gyro
     assert of_gyro is not None
     for name, fit, matrix in (
@@ -148,16 +127,16 @@ def test_both_rules_agree_with_the_factory_certificate_within_a_quarter_per_cent
 
 
 @pytest.mark.slow
-def test_the_whole_procedure_gives_the_gyroscope_of_the_coverage_rule() -> None:
+def test_whole_procedure_agrees_with_the_coverage_rule() -> None:
     """The certificate's figure is one over the diagonal of K; the length of a row of the forward matrix is another figure:
     z lies 3 deg off, which makes 0.14 % of it."""
-    made = calibrate(Session(kind="calibration", serial="MTi", gravity_m_s2=GRAVITY, records=(session(),)))
+    calibration = calibrate(Session(kind="calibration", serial="MTi", gravity_m_s2=GRAVITY, records=(session(),)))
     gyro = ours().gyro
-    assert made.gyro is not None
+    assert calibration.gyro is not None
     assert gyro is not None
-    scale = parts(made.gyro)[0]
+    scale = parts(calibration.gyro)[0]
     off = 100.0 * (scale / FACTORY_GYRO - 1.0)
-    rows = 100.0 * (made.gyro.scale_factor / FACTORY_GYRO - 1.0)
+    rows = 100.0 * (calibration.gyro.scale_factor / FACTORY_GYRO - 1.0)
     show(f"calibrate: scale ({DEFINITION}) against the certificate, %, gyro", np.round(off, 3), 0.12)
     show("calibrate: the same by rows of the forward matrix, %", np.round(rows, 3), "another figure")
     np.testing.assert_allclose(
@@ -166,7 +145,7 @@ def test_the_whole_procedure_gives_the_gyroscope_of_the_coverage_rule() -> None:
     assert np.abs(off).max() < 0.12  # 0.107 measured, 1.5 standard uncertainties
 
 
-def test_the_coverage_rule_keeps_every_pose_and_says_how_sure_it_is() -> None:
+def test_coverage_rule_keeps_every_pose() -> None:
     fit = ours()
     assert fit.gyro is not None
     show("stills kept", len(fit.stills), 38)
@@ -181,3 +160,33 @@ def test_the_coverage_rule_keeps_every_pose_and_says_how_sure_it_is() -> None:
     assert fit.accel.verdict.status == fit.gyro.verdict.status == "good"
     near = np.abs(parts(fit.accel.model)[0] / parts(published().accel.model)[0] - 1.0)
     assert near.max() < 1e-4
+
+
+# ---- three MPU-9150 units turned by hand (Mikov et al., ICINS 2020): |a| over the still phases after the fit
+
+ASSUMED_GRAVITY = 9.81  # not stated with the data; it scales the answer and leaves the residual in g as it is
+
+
+@pytest.mark.parametrize("unit", [0, 1, 2])
+def test_gravity_has_one_length_after_the_fit(unit: int) -> None:
+    with gzip.open(data_path("multipos_mpu9150", f"imu{unit}.log.gz"), "rt") as file:
+        log = np.loadtxt(file)
+    record = Record(time=np.arange(len(log)) / 100.0, accel=log[:, :3], gyro=log[:, 3:])
+    fit = fit_multi_position(record, gravity=ASSUMED_GRAVITY)
+    rms_mg = fit.accel.model.rms_residual / STANDARD_GRAVITY * 1e3
+    raw = np.array([np.linalg.norm(log[s.start : s.stop, :3].mean(axis=0)) for s in fit.stills]) - ASSUMED_GRAVITY
+    show(
+        f"unit {unit}: |a| rms over {len(fit.stills)} stills before, mg",
+        np.sqrt(np.mean(raw**2)) / STANDARD_GRAVITY * 1e3,
+    )
+    show(f"unit {unit}: after, mg", rms_mg, 0.30)
+    assert rms_mg <= 0.30
+    assert 17 <= len(fit.stills) <= 23
+    assert np.abs(np.diag(fit.accel.model.matrix) - 0.9935).max() < 0.0045  # SOURCE: scales 0.990-0.997
+    assert fit.gyro is not None
+    missed = float(np.degrees(fit.gyro.model.rms_residual))
+    show(f"unit {unit}: gravity missed after a move, over its duration, deg/s rms", missed, 0.1)
+    assert missed < 0.1
+    assert np.abs(fit.gyro.model.matrix - np.eye(3)).max() < 0.02
+    # the three are fixed to one another, and turn at 5 deg/s about the vertical during one "still": the offset must not follow
+    assert np.abs(np.degrees(fit.gyro.model.offset)).max() < 1.4

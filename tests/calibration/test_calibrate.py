@@ -9,7 +9,7 @@ from testkit.findings import only
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.session import observe
 from undrift.calibration.settings import CalibrateSettings
-from undrift.errors import Implausible, InputError, NotObservable
+from undrift.errors import InputError, NotObservable
 from undrift.record import Record, Session, Still, Turn
 from undrift.sim.device.presets import random_device
 from undrift.sim.sessions import simulate_session
@@ -27,117 +27,55 @@ def relative(model, triad):
 
 
 @pytest.mark.slow
-def test_a_bench_session_gives_both_triads():
-    found = calibrate(made("bench"))
-    assert found.accel.method == "six-face/affine"
-    assert found.gyro.method == "rate-table/affine"
-    assert relative(found.accel, DEVICE.accel) < 1e-3
-    assert relative(found.gyro, DEVICE.gyro) < 1e-3
-    assert found.verdict.status == "good"
-    assert found.reference_temp_c == pytest.approx(25.0, abs=2.0)
-    settings = dict(found.provenance.settings)
-    assert settings["accel"] == "six-face"
-    assert settings["gyro"] == "rate-table"
-    assert found.provenance.created.endswith("+00:00")
-
-
-@pytest.mark.slow
 def test_mode_paper_removes_the_offset_first_and_reports_it():
-    found = calibrate(made("bench"), mode="paper")
-    assert found.accel.method == "six-face/paper"
-    assert found.gyro.method == "rate-table/paper"
-    assert relative(found.accel, DEVICE.accel) < 2e-3
-    assert relative(found.gyro, DEVICE.gyro) < 2e-3
-    assert np.abs(found.accel.offset).max() > 0.0
+    calibration = calibrate(made("bench"), mode="paper")
+    assert calibration.accel.method == "six-face/paper"
+    assert calibration.gyro.method == "rate-table/paper"
+    assert relative(calibration.accel, DEVICE.accel) < 2e-3
+    assert relative(calibration.gyro, DEVICE.gyro) < 2e-3
+    assert np.abs(calibration.accel.offset).max() > 0.0
 
 
 @pytest.mark.slow
 def test_mode_paper_without_rests_takes_the_mean_of_both_signs():
     session = made("rate_table")
-    found = calibrate(replace(session, stills=(), records=session.records), gyro="rate-table", mode="paper")
-    assert relative(found.gyro, DEVICE.gyro) < 2e-3
-
-
-@pytest.mark.slow
-def test_a_ferraris_session_gives_g_sensitivity_too():
-    found = calibrate(made("ferraris"))
-    assert found.gyro.method == "known-rotation/affine"
-    assert found.gyro.g_sensitivity is not None
-    assert relative(found.gyro, DEVICE.gyro) < 3e-3
-    assert calibrate(made("ferraris"), mode="paper").gyro.method == "known-rotation/paper"
+    calibration = calibrate(replace(session, stills=(), records=session.records), gyro="rate-table", mode="paper")
+    assert relative(calibration.gyro, DEVICE.gyro) < 2e-3
 
 
 @pytest.mark.parametrize("labelled", [True, False])
 def test_free_poses_give_both_triads_without_equipment(labelled):
-    found = calibrate(made("multi_position", labelled))
-    assert found.accel.method.startswith("multi-position")
-    assert found.gyro.method.startswith("multi-position")
-    assert relative(found.gyro, DEVICE.gyro) < 0.03  # rotated by up to the consumer device's axis errors
+    calibration = calibrate(made("multi_position", labelled))
+    assert calibration.accel.method.startswith("multi-position")
+    assert calibration.gyro.method.startswith("multi-position")
+    assert relative(calibration.gyro, DEVICE.gyro) < 0.03  # rotated by up to the consumer device's axis errors
 
 
 def test_faces_are_found_in_an_unlabelled_session():
-    found = calibrate(made("six_face", labelled=False))
-    assert found.accel.method == "six-face/affine"
-    assert relative(found.accel, DEVICE.accel) < 2e-3
-    gyro = only(found.verdict.findings, "session.not_observable")
+    calibration = calibrate(made("six_face", labelled=False))
+    assert calibration.accel.method == "six-face/affine"
+    assert relative(calibration.accel, DEVICE.accel) < 2e-3
+    gyro = only(calibration.verdict.findings, "session.not_observable")
     assert (gyro.level, gyro.values["what"]) == ("info", "Gyroscope")  # faces are for the accelerometer
-    assert found.verdict.status == "good"
-    assert found.gyro is None
+    assert calibration.verdict.status == "good"
+    assert calibration.gyro is None
 
 
 @pytest.mark.slow
-def test_steady_turns_without_their_rates_are_counted_and_asked_for():
+def test_steady_turns_without_rates_are_counted():
     session = made("bench", labelled=False)
     few = tuple(still for still in made("bench").stills[:6])  # its faces alone: nine rests would give the gyroscopes
-    found = calibrate(replace(session, stills=few))
-    assert found.gyro is None
-    steady = [f for f in found.verdict.findings if f.action.startswith("Give turn_rate_dps")]
+    calibration = calibrate(replace(session, stills=few))
+    assert calibration.gyro is None
+    steady = [f for f in calibration.verdict.findings if f.action.startswith("Give turn_rate_dps")]
     assert ["102 steady turns" in f.action for f in steady] == [True]
 
 
-def test_turns_between_found_faces_calibrate_gyroscopes_in_counts():
+def test_turns_between_faces_calibrate_gyroscopes_in_counts():
     """Steady turns by hand are not those of a table if the moves between the rests agree with gravity."""
-    found = calibrate(made("ferraris", labelled=False))
-    assert (found.accel.method, found.gyro.method) == ("six-face/affine", "multi-position")
-    assert relative(found.gyro, DEVICE.gyro) < 0.01
-
-
-@pytest.mark.slow
-def test_turns_about_one_axis_calibrate_it_and_say_what_the_others_lack():
-    session = made("bench")
-    about_x = replace(session, turns=tuple(t for t in session.turns if t.axis == "x"))
-    found = calibrate(about_x)
-    assert found.gyro.method == "rate-table/affine"
-    own = DEVICE.gyro.forward_matrix[0, 0]
-    sigma = found.gyro.standard_uncertainty[:9].reshape(3, 3) @ np.abs(found.gyro.forward_matrix)
-    assert found.gyro.forward_matrix[0, 0] == pytest.approx(own, rel=5.0 * sigma[0, 0])
-    assert sigma[0, 0] < 1e-3
-    assert sigma[1, 1] == pytest.approx(0.2, rel=0.1)  # counts: nobody states a scale
-    lacking = only(found.verdict.findings, "rate_table.axes_missing")
-    assert (lacking.values["turned"], lacking.values["missing"]) == (("x",), ("y", "z"))
-    assert not any("fit_rate_table" in r or "=" in r for r in found.verdict.reasons)
-
-
-def test_what_was_asked_for_and_is_not_there_is_refused():
-    six = made("six_face")
-    with pytest.raises(NotObservable, match="got none about x, y, z"):
-        calibrate(six, gyro="rate-table")
-    with pytest.raises(NotObservable, match="expected turns by known angles, got none"):
-        calibrate(six, gyro="known-rotation")
-    with pytest.raises(NotObservable, match="gyroscope by rest"):
-        calibrate(six, gyro="rest")  # counts have no scale of their own
-    with pytest.raises(NotObservable, match="expected turns by known angles, got none"):
-        calibrate(made("multi_position"), gyro="known-rotation")
-    with pytest.raises(InputError, match="`mode` must be one of"):
-        calibrate(six, mode="best")
-    record = six.records[0]
-    blind = replace(six, records=(replace(record, gyro=None),))
-    with pytest.raises(NotObservable, match="gyroscope by rest: no"):
-        calibrate(blind, gyro="rest")
-    assert calibrate(blind).gyro is None
-    numb = replace(six, records=(replace(record, accel=None),), stills=())
-    with pytest.raises(NotObservable, match="accelerometer by six-face: no"):
-        calibrate(numb, accel="six-face")
+    calibration = calibrate(made("ferraris", labelled=False))
+    assert (calibration.accel.method, calibration.gyro.method) == ("six-face/affine", "multi-position")
+    assert relative(calibration.gyro, DEVICE.gyro) < 0.01
 
 
 def still_record(n=3000, unit="dps"):
@@ -152,27 +90,14 @@ def still_record(n=3000, unit="dps"):
 
 def test_a_single_rest_gives_the_rate_offset_alone():
     session = Session(kind="static", serial="", gravity_m_s2=9.81, records=(still_record(),))
-    found = calibrate(session)
-    assert found.gyro.method == "rest"
-    assert found.accel is None
+    calibration = calibrate(session)
+    assert calibration.gyro.method == "rest"
+    assert calibration.accel is None
     # 3000 samples of 0.05: 0.001 deg/s
-    np.testing.assert_allclose(found.gyro.offset, [0.3, -0.2, 0.1], atol=0.005)
-    np.testing.assert_allclose(found.gyro.matrix, np.eye(3) * np.pi / 180.0)
-    assert np.isnan(found.reference_temp_c)
-    assert any("not determine the accelerometer" in item.sentence for item in found.verdict.findings)
-
-
-def test_nothing_to_fit_is_an_error_that_says_what_to_record():
-    session = Session(kind="static", serial="", gravity_m_s2=9.81, records=(still_record(unit="count"),))
-    with pytest.raises(NotObservable, match="not determine the accelerometer"):
-        calibrate(session)
-
-
-def test_a_quarter_of_gravity_is_caught_before_anything_is_fitted():
-    record = still_record()
-    session = Session(kind="static", serial="", gravity_m_s2=9.81, records=(replace(record, accel=record.accel / 4.0),))
-    with pytest.raises(Implausible, match=r"\(0\.250 g\)"):
-        calibrate(session)
+    np.testing.assert_allclose(calibration.gyro.offset, [0.3, -0.2, 0.1], atol=0.005)
+    np.testing.assert_allclose(calibration.gyro.matrix, np.eye(3) * np.pi / 180.0)
+    assert np.isnan(calibration.reference_temp_c)
+    assert any(item.code == "session.not_observable" for item in calibration.verdict.findings)
 
 
 def test_set_points_stand_in_for_a_thermometer():
@@ -191,17 +116,17 @@ def test_truncated_codes_get_their_half_step_back_before_the_fit():
     sweep[:6000] = 0.0
     gyro = np.trunc(sweep + np.array([3.3, -2.3, 4.3]) + 2.0 * rng.standard_normal((n, 3)))
     record = Record(time=time, gyro=gyro * 0.061, gyro_unit="dps")
-    found = calibrate(
+    calibration = calibrate(
         Session(kind="static", serial="", gravity_m_s2=9.81, records=(record,), stills=(Still(start=0, stop=6000),))
     )
-    assert found.adc.gyro_rounding == "toward_zero"
+    assert calibration.adc.gyro_rounding == "toward_zero"
     plain = calibrate(
         Session(kind="static", serial="", gravity_m_s2=9.81, records=(record,), stills=(Still(start=0, stop=6000),)),
         settings=CalibrateSettings(identify_adc=False),
     )
     assert plain.adc is None
     truth = 0.061 * np.array([3.3, -2.3, 4.3])
-    assert np.abs(found.gyro.offset - truth).max() < 0.2 * np.abs(plain.gyro.offset - truth).max()
+    assert np.abs(calibration.gyro.offset - truth).max() < 0.2 * np.abs(plain.gyro.offset - truth).max()
 
 
 def rests_of(count, unit="rad/s"):
@@ -229,36 +154,12 @@ def test_recordings_with_other_sensors_or_units_are_refused(gyro):
 
 @pytest.mark.slow
 def test_the_offset_at_rest_is_as_uncertain_as_the_rests_scatter():
-    found = calibrate(rests_of(9))
-    assert found.accel is None  # nine rests in one pose: the gyroscopes' offset is kept all the same
-    sigma = np.sqrt(np.diag(found.gyro.covariance)[9:])
+    calibration = calibrate(rests_of(9))
+    assert calibration.accel is None  # nine rests in one pose: the gyroscopes' offset is kept all the same
+    sigma = np.sqrt(np.diag(calibration.gyro.covariance)[9:])
     # shifts of 0.001 between nine switch-ons: 0.00033; samples alone would say 0.00001
     assert ((sigma > 1.5e-4) & (sigma < 8e-4)).all()
-    assert (np.abs(found.gyro.offset - [0.03, -0.02, 0.01]) < 3.0 * sigma).all()
-
-
-def test_axis_without_a_turn_keeps_its_prior():
-    session = made("ferraris")
-    without = replace(session, turns=tuple(t for t in session.turns if t.axis != "y"))
-    found = calibrate(without)
-    assert found.accel.method == "six-face/affine"
-    assert found.gyro.method == "known-rotation/affine"
-    assert found.verdict.status == "marginal"
-    lacking = only(found.verdict.findings, "rate_table.axes_missing")
-    assert (lacking.values["turned"], lacking.values["missing"]) == (("x", "z"), ("y",))
-    share = found.gyro.standard_uncertainty[[0, 4, 8]] / np.diag(found.gyro.matrix)
-    np.testing.assert_allclose(share, [0.003, 0.2, 0.003], rtol=0.2)  # counts: nobody states a scale
-
-
-def test_mode_paper_is_refused_for_free_poses():
-    with pytest.raises(InputError, match="mode paper of the accelerometer requires"):
-        calibrate(made("multi_position"), mode="paper")
-
-
-@pytest.mark.parametrize("latitude_deg", [float("nan"), 91.0])
-def test_a_latitude_that_is_none_is_refused(latitude_deg):
-    with pytest.raises(InputError, match="latitude_deg"):
-        calibrate(rests_of(1), settings=CalibrateSettings(latitude_deg=latitude_deg))
+    assert (np.abs(calibration.gyro.offset - [0.03, -0.02, 0.01]) < 3.0 * sigma).all()
 
 
 def saturated(session, at, axis=0, value=-32768.0):
@@ -268,80 +169,53 @@ def saturated(session, at, axis=0, value=-32768.0):
     return replace(session, records=(replace(session.records[0], gyro=gyro),))
 
 
-@pytest.mark.slow
-def test_a_tenth_of_a_second_of_saturated_gyroscope_costs_one_move_and_is_named():
-    session = made("multi_position", labelled=False)
-    rests = observe(session, CalibrateSettings()).stills
-    found = calibrate(saturated(session, (rests[4].stop + rests[5].start) // 2))
-    assert (found.accel.method, found.gyro.method) == ("multi-position", "multi-position")
-    left_out = only(found.verdict.findings, "session.saturated")
-    assert (left_out.values["count"], left_out.values["what"]) == (1, "moves")
-    assert left_out.values["pieces"][0].startswith("the move after still 5 (")
-    whole = calibrate(session)
-    assert relative(found.gyro, DEVICE.gyro) < 1.5 * relative(whole.gyro, DEVICE.gyro) + 1e-3
-    np.testing.assert_array_equal(found.accel.matrix, whole.accel.matrix)
-
-
 @pytest.mark.parametrize("kind", ["bench", "ferraris"])
-def test_a_turn_with_a_saturated_gyroscope_is_left_out_by_its_number_and_time(kind):
+def test_turn_with_saturated_readings_is_left_out_by_number(kind):
     session = made(kind)
     turn = session.turns[1]
     middle = (turn.start + turn.stop) // 2
-    found = calibrate(saturated(session, middle))
-    assert found.accel.method == "six-face/affine"
-    left_out = only(found.verdict.findings, "session.saturated")
+    calibration = calibrate(saturated(session, middle))
+    assert calibration.accel.method == "six-face/affine"
+    left_out = only(calibration.verdict.findings, "session.saturated")
     time_s = session.records[0].time
     assert left_out.values["pieces"] == (
         f"[[turn]] 2 (recording 0, {time_s[turn.start]:.1f}-{time_s[turn.stop - 1]:.1f} s)",
     )
     if kind == "bench":  # other dwells show the axis too; three turns by hand are one each
-        assert relative(found.gyro, DEVICE.gyro) < 1e-3
+        assert relative(calibration.gyro, DEVICE.gyro) < 1e-3
     else:
-        assert only(found.verdict.findings, "rate_table.axes_missing").values["missing"] == ("y",)
+        assert only(calibration.verdict.findings, "rate_table.axes_missing").values["missing"] == ("y",)
 
 
 def test_turns_that_are_all_saturated_leave_the_accelerometer():
     session = made("ferraris")
     for turn in session.turns:
         session = saturated(session, (turn.start + turn.stop) // 2)
-    found = calibrate(session)
-    assert (found.accel.method, found.gyro) == ("six-face/affine", None)
-    assert only(found.verdict.findings, "session.saturated").values["count"] == 3
-
-
-def test_gyroscopes_are_left_out_or_taken_at_rest_alone_where_that_is_asked():
-    session = made("multi_position")
-    without = calibrate(session, gyro="none")
-    assert (without.accel.method, without.gyro) == ("multi-position", None)
-    assert without.verdict.status == "good"
-    record = session.records[0]
-    factor = 1.0 / 16.4  # of any scale: dps makes the reading physical
-    known = replace(session, records=(replace(record, gyro=record.gyro * factor, gyro_unit="dps"),))
-    assert calibrate(known, gyro="rest").gyro.method == "rest"
-    with pytest.raises(NotObservable, match="gyroscope by rest: "):
-        calibrate(session, gyro="rest")  # counts have no scale
+    calibration = calibrate(session)
+    assert (calibration.accel.method, calibration.gyro) == ("six-face/affine", None)
+    assert only(calibration.verdict.findings, "session.saturated").values["count"] == 3
 
 
 @pytest.mark.parametrize("kind", ["ferraris", "bench"])
 def test_five_faces_and_turns_calibrate_both_sensors(kind):
     session = made(kind)
     without = replace(session, stills=tuple(still for still in session.stills if still.face != "-y"))
-    found = calibrate(without)
-    assert found.accel.method == "six-face/affine"
-    assert found.gyro.method == {"ferraris": "known-rotation/affine", "bench": "rate-table/affine"}[kind]
+    calibration = calibrate(without)
+    assert calibration.accel.method == "six-face/affine"
+    assert calibration.gyro.method == {"ferraris": "known-rotation/affine", "bench": "rate-table/affine"}[kind]
 
 
-def test_a_face_that_was_not_recorded_is_named_where_rests_and_turns_are_found():
+def test_face_that_was_not_recorded_is_named():
     session = made("ferraris", labelled=False)
     (still,) = (still for still in made("ferraris").stills if still.face == "-y")
     record, rng = session.records[0], np.random.default_rng(3)
     around, shake = slice(still.start - 50, still.stop + 50), np.zeros((len(record), 3))
     shake[around] = 200.0 * rng.normal(size=shake[around].shape)
     shaken = replace(session, records=(replace(record, gyro=record.gyro + shake, accel=record.accel + shake),))
-    found = calibrate(shaken, settings=CalibrateSettings(turn_angle_deg=360.0))
-    assert found.accel is None
-    assert found.gyro.method == "known-rotation/affine"  # three turns need no accelerometer
-    (accel,) = (item for item in found.verdict.findings if item.values.get("what") == "Accelerometer")
+    calibration = calibrate(shaken, settings=CalibrateSettings(turn_angle_deg=360.0))
+    assert calibration.accel is None
+    assert calibration.gyro.method == "known-rotation/affine"  # three turns need no accelerometer
+    (accel,) = (item for item in calibration.verdict.findings if item.values.get("what") == "Accelerometer")
     assert "without a rest: -y" in accel.sentence
 
 
@@ -360,13 +234,8 @@ def bench():
     return simulate_session("bench", FITTED, rng=np.random.default_rng(22), temp_c=25.0)
 
 
-def test_a_fit_of_the_other_triad_is_no_fit_of_this_one(faces):
-    with pytest.raises(InputError, match="gyro"):
-        calibrate(faces, gyro="six-face")
-
-
 @pytest.mark.slow
-def test_the_spline_filter_leaves_the_means_and_the_settling_time_does_not(bench):
+def test_spline_filter_leaves_the_means(bench):
     plain = calibrate(bench)
     splined = calibrate(bench, settings=CalibrateSettings(spline_cutoff_hz=5.0))
     # The smoothing spline keeps the mean of its samples, to the rounding of its solver.
@@ -421,19 +290,14 @@ def limited(kind):
         ("six_face", ["Gyroscope"]),
     ],
 )
-def test_each_kind_of_session_names_what_it_never_determines_and_stays_good(kind, unknown):
+def test_session_names_what_it_never_determines(kind, unknown):
     verdict = calibrate(limited(kind)).verdict
-    named = [item for item in verdict.findings if item.code == "session.not_observable"]
-    assert ([item.values["what"] for item in named], {item.level for item in named} - {"info"}) == (unknown, set())
+    findings = [item for item in verdict.findings if item.code == "session.not_observable"]
+    assert ([item.values["what"] for item in findings], {item.level for item in findings} - {"info"}) == (
+        unknown,
+        set(),
+    )
     assert verdict.status == "good"
-
-
-@pytest.mark.slow
-def test_a_rate_table_without_an_accelerometer_asks_for_one():
-    session = limited("bench")
-    numb = replace(session, records=tuple(replace(r, accel=None) for r in session.records), stills=())
-    unknown = only(calibrate(numb).verdict.findings, "session.not_observable")
-    assert unknown.values["what"] == "g-sensitivity of the gyroscopes"
 
 
 def test_a_session_of_several_temperatures_is_sent_to_drift_once():
@@ -442,3 +306,41 @@ def test_a_session_of_several_temperatures_is_sent_to_drift_once():
     turns = tuple(replace(t, temp_c=40.0 if k % 10 == 9 else 25.0) for k, t in enumerate(session.turns))
     reasons = calibrate(replace(session, stills=stills, turns=turns)).verdict.reasons
     assert sum("undrift drift" in reason for reason in reasons) == 1
+
+
+@pytest.mark.parametrize(
+    ("kind", "change", "asked", "error"),
+    [
+        ("six_face", {}, {"gyro": "rate-table"}, NotObservable),
+        ("six_face", {}, {"gyro": "known-rotation"}, NotObservable),
+        ("six_face", {}, {"gyro": "rest"}, NotObservable),  # counts have no scale of their own
+        ("six_face", {"gyro": None}, {"gyro": "rest"}, NotObservable),
+        ("six_face", {"accel": None}, {"accel": "six-face"}, NotObservable),
+        ("multi_position", {}, {"gyro": "known-rotation"}, NotObservable),
+        ("multi_position", {}, {"gyro": "rest"}, NotObservable),
+        ("multi_position", {}, {"mode": "paper"}, InputError),
+        ("six_face", {}, {"mode": "best"}, InputError),
+        ("six_face", {}, {"gyro": "six-face"}, InputError),
+    ],
+)
+def test_fit_that_a_session_does_not_allow_is_refused(kind, change, asked, error):
+    session = made(kind)
+    session = replace(session, records=tuple(replace(record, **change) for record in session.records))
+    with pytest.raises(error, match=next(iter(asked))):
+        calibrate(session, **asked)
+
+
+def test_session_that_allows_no_fit_is_refused():
+    session = Session(kind="static", serial="", gravity_m_s2=9.81, records=(still_record(unit="count"),))
+    with pytest.raises(NotObservable, match="determine the accelerometer"):
+        calibrate(session)
+
+
+@pytest.mark.parametrize(("gyro", "method"), [("none", None), ("rest", "rest")])
+def test_gyroscope_fit_is_the_one_asked_for(gyro, method):
+    session = made("multi_position")
+    record = session.records[0]
+    physical = replace(session, records=(replace(record, gyro=record.gyro / 16.4, gyro_unit="dps"),))
+    calibration = calibrate(physical, gyro=gyro)
+    assert calibration.accel.method == "multi-position"
+    assert (calibration.gyro and calibration.gyro.method) == method

@@ -1,6 +1,5 @@
 """The magnetometer from motion: intervals hold, disturbed stretches are left out, what motion hides is named, real trials agree."""
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -57,14 +56,18 @@ def worn(seed: int) -> tuple[Record, np.ndarray, np.ndarray]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("devices", [6, 100])
-def test_nineteen_of_twenty_intervals_hold_iron_that_hands_have_turned(devices: int) -> None:
+def test_intervals_hold_iron_turned_by_hand(devices: int) -> None:
     errors, spreads = [], []
     for seed in range(20, 20 + devices):
         record, a, b = worn(seed)
-        made = calibrate_from_motion([record], magnetometer=True).magnetometer
-        assert made is not None
-        errors.append(np.concatenate(((made.model.matrix - a).ravel(), made.model.offset - b, [made.lag_s - LAG_S])))
-        spreads.append(np.append(made.model.standard_uncertainty, made.lag_uncertainty_s))
+        magnetometer = calibrate_from_motion([record], magnetometer=True).magnetometer
+        assert magnetometer is not None
+        errors.append(
+            np.concatenate(
+                ((magnetometer.model.matrix - a).ravel(), magnetometer.model.offset - b, [magnetometer.lag_s - LAG_S])
+            )
+        )
+        spreads.append(np.append(magnetometer.model.standard_uncertainty, magnetometer.lag_uncertainty_s))
     error, spread = np.array(errors), np.array(spreads)
     inside = np.abs(error) < 1.96 * spread
     for name, part, wanted in (("A", slice(0, 9), 0.01), ("b, uT", slice(9, 12), 0.5), ("lag, s", slice(12, 13), 2e-3)):
@@ -80,28 +83,28 @@ def test_a_magnet_that_comes_near_is_left_out_and_named() -> None:
     record, a, b = worn(30)
     mag = np.array(record.mag_ut)
     mag[1000:1700] += [12.0, -20.0, 9.0]  # 20 to 34 s
-    made = calibrate_from_motion([replace(record, mag_ut=mag)], magnetometer=True)
-    assert made.magnetometer is not None
-    (named,) = (item for item in made.verdict.findings if item.code == "magnetometer.disturbed")
-    show("named", named.text)
-    assert float(named.values["start_s"]) == pytest.approx(20.0, abs=1.5)
-    assert float(named.values["stop_s"]) == pytest.approx(34.0, abs=1.5)
-    assert np.abs(made.magnetometer.model.offset - b).max() < 1.0
-    assert np.abs(made.magnetometer.model.matrix - a).max() < 0.02
+    calibration = calibrate_from_motion([replace(record, mag_ut=mag)], magnetometer=True)
+    assert calibration.magnetometer is not None
+    (finding,) = (item for item in calibration.verdict.findings if item.code == "magnetometer.disturbed")
+    show("named", finding.text)
+    assert float(finding.values["start_s"]) == pytest.approx(20.0, abs=1.5)
+    assert float(finding.values["stop_s"]) == pytest.approx(34.0, abs=1.5)
+    assert np.abs(calibration.magnetometer.model.offset - b).max() < 1.0
+    assert np.abs(calibration.magnetometer.model.matrix - a).max() < 0.02
     wild = mag + 60.0 * np.sin(np.arange(len(mag))[:, None] ** 1.3 * [0.002, 0.003, 0.005])
-    with pytest.raises(NotObservable, match="recording 1: 20 s or more are needed of a field that turns"):
+    with pytest.raises(NotObservable, match="a field that"):
         calibrate_from_motion([replace(record, mag_ut=wild)], magnetometer=True)
 
 
 @pytest.mark.slow
-def test_recordings_without_a_magnetometer_are_counted_too_and_a_slower_one_is_used() -> None:
+def test_recordings_with_a_slow_magnetometer_are_used() -> None:
     record, _, b = worn(30)
     mag = np.array(record.mag_ut)
     mag[1000:1700] += [12.0, -20.0, 9.0]
     mag[1::2] = np.nan
     alone = calibrate_from_motion([replace(worn(32)[0], mag_ut=None), replace(record, mag_ut=mag)], magnetometer=True)
-    (named,) = (item for item in alone.verdict.findings if item.code == "magnetometer.disturbed")
-    assert named.values["recording"] == 2
+    (finding,) = (item for item in alone.verdict.findings if item.code == "magnetometer.disturbed")
+    assert finding.values["recording"] == 2
     assert alone.magnetometer is not None
     assert alone.gyro is not None
     assert np.abs(alone.magnetometer.model.offset - b).max() < 1.5
@@ -116,10 +119,12 @@ def test_axes_that_lie_otherwise_are_found() -> None:
     other = np.array(
         [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]
     )  # as in a part with another maker's magnetometer
-    made = calibrate_from_motion([replace(record, mag_ut=np.asarray(record.mag_ut) @ other.T)], magnetometer=True)
-    assert made.magnetometer is not None
-    assert np.abs(made.magnetometer.model.matrix @ other - a).max() < 0.02
-    assert np.abs(made.magnetometer.model.offset - other @ b).max() < 1.0
+    calibration = calibrate_from_motion(
+        [replace(record, mag_ut=np.asarray(record.mag_ut) @ other.T)], magnetometer=True
+    )
+    assert calibration.magnetometer is not None
+    assert np.abs(calibration.magnetometer.model.matrix @ other - a).max() < 0.02
+    assert np.abs(calibration.magnetometer.model.offset - other @ b).max() < 1.0
 
 
 def test_turns_about_the_vertical_hide_what_lies_along_it() -> None:
@@ -127,34 +132,34 @@ def test_turns_about_the_vertical_hide_what_lies_along_it() -> None:
     turn = np.cumsum(np.sin(0.3 * time)) / 50.0
     q = np.stack((np.cos(0.5 * turn), 0.0 * turn, 0.0 * turn, np.sin(0.5 * turn)), axis=1)
     magnetometer, verdict = fit_magnetometer({0: (time, seen(rng, time, q, *iron(rng)), q)})
-    (named,) = (item for item in verdict.findings if item.code == "magnetometer.heading")
-    show("named", named.text)
-    assert named.values["axes"] == ("z",)
+    (finding,) = (item for item in verdict.findings if item.code == "magnetometer.heading")
+    show("named", finding.text)
+    assert finding.values["axes"] == ("z",)
     assert verdict.status == "marginal"
     assert magnetometer.model.standard_uncertainty[11] > 5.0 * magnetometer.model.standard_uncertainty[9]
 
 
-def test_recordings_without_a_magnetometer_and_short_ones_are_refused() -> None:
+def test_recordings_too_short_for_a_magnetometer_are_refused() -> None:
     record, _, _ = worn(20)
     with pytest.raises(InputError, match="no recording has"):
         calibrate_from_motion([replace(record, mag_ut=None)], magnetometer=True)
     gone = np.array(record.mag_ut)
     gone[500:] = np.nan
-    with pytest.raises(InputError, match=re.escape("recording 1: readings over 20 s or more are needed, got 9.98 s")):
+    with pytest.raises(InputError, match=r"got 9.98 s"):
         calibrate_from_motion([replace(record, mag_ut=gone)], magnetometer=True)
 
 
 @pytest.mark.slow
 @needs_data
-def test_two_trials_of_a_real_device_agree_and_the_magnet_of_another_is_named() -> None:
+def test_two_trials_of_a_real_device_agree() -> None:
     """BROAD: device C twice; a magnet was attached to D for a minute of trial 32."""
-    found = [calibrate_from_motion([trial(n)[0]], magnetometer=True).magnetometer for n in DEVICES["C"]]
-    models = [one.model for one in found if one is not None]
+    results = [calibrate_from_motion([trial(n)[0]], magnetometer=True).magnetometer for n in DEVICES["C"]]
+    models = [result.model for result in results if result is not None]
     apart = [np.abs(models[0].matrix - models[1].matrix).max(), np.abs(models[0].offset - models[1].offset).max()]
-    show("03 and 24: A, b (uT), lag (s)", (*apart, *(one.lag_s for one in found if one is not None)))
+    show("03 and 24: A, b (uT), lag (s)", (*apart, *(result.lag_s for result in results if result is not None)))
     assert apart[0] < 0.005
     assert apart[1] < 0.2
-    assert all(one is not None and one.lag_s == pytest.approx(0.0128, abs=5e-4) for one in found)
-    named = calibrate_from_motion([trial("32")[0]], magnetometer=True).verdict.findings
-    (magnet,) = (item for item in named if item.code == "magnetometer.disturbed")
+    assert all(result is not None and result.lag_s == pytest.approx(0.0128, abs=5e-4) for result in results)
+    findings = calibrate_from_motion([trial("32")[0]], magnetometer=True).verdict.findings
+    (magnet,) = (item for item in findings if item.code == "magnetometer.disturbed")
     assert float(magnet.values["percent"]) == pytest.approx(36.0, abs=3.0)

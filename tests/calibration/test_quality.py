@@ -1,5 +1,6 @@
 """Rests and turns of a session: refused or named if they are not what it states."""
 
+import gzip
 import re
 from dataclasses import replace
 
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 
 from testkit.data import data_path
-from testkit.findings import only
+from testkit.findings import codes, only
 from testkit.strategies import one_line
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.quality import check_turns
@@ -15,7 +16,9 @@ from undrift.calibration.session import observe
 from undrift.calibration.settings import CalibrateSettings
 from undrift.errors import Implausible, InputError
 from undrift.record import FACES, Record, Session, Still
+from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.presets import random_device
+from undrift.sim.motion.bench import BenchSettings
 from undrift.sim.sessions import simulate_session
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -62,49 +65,49 @@ def test_six_faces_at_rest_pass_without_a_word():
 def test_stills_that_creep_are_refused_by_their_sway(creep_dps):
     with pytest.raises(
         Implausible,
-        match=r"\[\[still\]\] \d \(recording 0, .* s\): expected a device at rest, got readings that sway by",
+        match="that sway by",
     ) as caught:
         observe(faces(creep_dps), CalibrateSettings())
     one_line(caught)
 
 
-def test_stills_that_creep_a_little_are_a_finding_and_make_the_verdict_marginal():
-    found = calibrate(faces(0.25))  # 1.5 deg in 6 s, the limit is 1 deg
-    assert found.verdict.status == "marginal"
-    sway = only(found.verdict.findings, "session.piece")
+def test_stills_that_creep_a_little_are_a_finding():
+    calibration = calibrate(faces(0.25))  # 1.5 deg in 6 s, the limit is 1 deg
+    assert calibration.verdict.status == "marginal"
+    sway = only(calibration.verdict.findings, "session.piece")
     assert sway.values["pieces"] == 6
     size = float(re.search(r"sway by ([\d.]+) m/s2", sway.sentence).group(1))
     assert size == pytest.approx(9.81 * np.radians(1.5) / np.sqrt(12.0), rel=0.05)
 
 
 @pytest.mark.parametrize(("unit", "accel_unit"), [("rad/s", "m/s2"), ("dps", "m/s2"), ("count", "count")])
-def test_a_still_that_begins_before_the_device_was_put_down_is_refused_by_its_sway(unit, accel_unit):
+def test_still_that_begins_too_early_is_refused_by_its_sway(unit, accel_unit):
     session = faces(unit=unit, accel_unit=accel_unit, sway=(2, 0.5))
-    with pytest.raises(Implausible, match=r"\[\[still\]\] 3 \(recording 0, 12.0-18.0 s\): .*got readings that sway by"):
+    with pytest.raises(Implausible, match=r"12\.0-18\.0 s.* sway by"):
         observe(session, CalibrateSettings())
 
 
-def test_a_slow_turn_about_the_vertical_shows_in_the_mean_rate_alone():
+def test_slow_turn_about_the_vertical_shows_in_the_mean_rate():
     session = faces()
     gyro = np.array(session.records[0].gyro)
     gyro[HOLD : 2 * HOLD, 0] += 3.0 * RADIAN_PER_DEGREE
     turning = replace(session, records=(replace(session.records[0], gyro=gyro),))
     with pytest.raises(
         Implausible,
-        match=r"\[\[still\]\] 2 .*got a mean rate 3(\.0\d)? deg/s off",
+        match="a mean rate 3",
     ):
         observe(turning, CalibrateSettings())
     thermal = replace(turning, kind="thermal")  # offsets differ between temperatures, and that is what it records
     assert observe(thermal, CalibrateSettings()).findings == ()
 
 
-def test_a_recording_in_the_wrong_unit_is_refused_among_found_stills():
+def test_recording_in_the_wrong_unit_is_refused_among_stills():
     one = faces().records[0]
     rests = tuple(replace(one, time=one.time[:HOLD], gyro=one.gyro[k : k + HOLD], accel=one.accel[k : k + HOLD])
                   for k in range(0, 6 * HOLD, HOLD))  # fmt: skip
     wrong = (replace(rests[0], gyro=rests[0].gyro + np.array([0.12, 0.0, 0.0])), *rests[1:])
     session = Session(kind="calibration", serial="", gravity_m_s2=9.81, records=wrong)
-    with pytest.raises(Implausible, match=r"still found \(recording 0, 0.0-6.0 s\): .*wrong unit"):
+    with pytest.raises(Implausible, match="wrong unit"):
         observe(session, CalibrateSettings())
 
 
@@ -118,7 +121,7 @@ def test_the_same_recording_twice_is_refused():
     assert len(observe(replace(session, records=(session.records[0], other)), CalibrateSettings()).stills) == 6
 
 
-def test_the_ferraris_recording_is_refused_where_a_still_begins_too_early():
+def test_real_still_that_begins_too_early_is_refused():
     """The +x face of the shared session lies from 5.3 s on; 1.0 to 14.0 s holds the putting down too."""
     path = data_path("ferraris_nilspod", "example_ferraris_session.csv")
     table = np.genfromtxt(path, delimiter=",", names=True)
@@ -132,7 +135,7 @@ def test_the_ferraris_recording_is_refused_where_a_still_begins_too_early():
     session = Session(kind="calibration", serial="", gravity_m_s2=9.81, records=(record,), stills=(good,))
     assert observe(session, CalibrateSettings()).findings == ()
     early = replace(session, stills=(replace(good, start=102, stop=1434),))
-    with pytest.raises(Implausible, match=r"\[\[still\]\] 1 .*got readings that sway by 55.3 deg/s rms"):
+    with pytest.raises(Implausible, match=r"sway by 55.3"):
         observe(early, CalibrateSettings())
 
 
@@ -153,7 +156,7 @@ def shifted(session: Session, samples: int, *, which: int | None = None) -> Sess
 
 
 @pytest.mark.parametrize("kind", ["bench", "ferraris"])
-def test_sound_turns_give_no_finding_and_0_1_s_of_ramp_are_allowed(kind: str) -> None:
+def test_sound_turns_with_a_short_ramp_give_no_finding(kind: str) -> None:
     session = made(kind)
     assert list(check_turns(session, session.stills, 0.3)) == []
     assert list(check_turns(shifted(session, 10), session.stills, 0.3)) == []
@@ -201,7 +204,7 @@ def test_a_turn_by_an_angle_that_is_cut_off_is_named() -> None:
     assert float(cut.values["percent"]) > 50.0
 
 
-def test_turns_near_the_noise_without_axis_offset_or_readings_are_not_judged() -> None:
+def test_turns_that_show_no_rate_are_not_judged() -> None:
     session = shifted(made("bench"), 60)
     record = session.records[0]
     assert record.gyro is not None
@@ -215,10 +218,122 @@ def test_turns_near_the_noise_without_axis_offset_or_readings_are_not_judged() -
         assert list(check_turns(other, other.stills, 0.3)) == []
 
 
-def test_a_gyroscope_that_stays_at_one_code_while_the_device_turns_is_named() -> None:
+def test_gyroscope_that_stays_at_one_code_is_named() -> None:
     session = made("ferraris")
     gyro = np.array(session.records[0].gyro)
     gyro[:, 1] = gyro[0, 1]
     dead = replace(session, records=(replace(session.records[0], gyro=gyro),))
     with pytest.raises(Implausible, match=r"gyroscope y: it reads .* dead"):
         observe(dead, CalibrateSettings())
+
+
+# ---- rests that an accelerometer's fit did not use: real poses stated as faces are refused, and good faces pass
+
+# Poses of two MPU-9150 boards of Mikov et al. (ICINS 2020), turned by hand: pairs of poses whose means share a middle, so that they
+# fit six faces to within half a degree. None of them is a face, and the scale factors stay within the unit's tolerance.
+NO_FACES = {
+    0: ((15008, 15841), (106, 654), (8036, 8377), (4477, 4976), (913, 1222), (14273, 14848)),
+    1: ((105, 652), (14972, 15802), (10026, 10513), (6613, 7109), (910, 1219), (14239, 14812)),
+}
+PLAIN = CalibrateSettings(identify_adc=False)
+
+
+def board(unit: int) -> Record:
+    with gzip.open(data_path("multipos_mpu9150", f"imu{unit}.log.gz"), "rt") as file:
+        log = np.loadtxt(file)
+    return Record(time=np.arange(len(log)) / 100.0, accel=log[:, :3], gyro=log[:, 3:])
+
+
+@pytest.mark.parametrize("unit", NO_FACES)
+def test_poses_that_are_no_faces_are_bad(unit):
+    order = ("+x", "-x", "+y", "-y", "+z", "-z")
+    stills = tuple(Still(start=a, stop=b, face=f) for f, (a, b) in zip(order, NO_FACES[unit], strict=True))
+    session = Session(kind="calibration", serial="", gravity_m_s2=9.81, records=(board(unit),), stills=stills)
+    calibration = calibrate(session)
+    assert calibration.verdict.status == "bad"
+    tilt = [item.values["tilt_deg"] for item in calibration.verdict.findings if item.code.startswith("six_face.tilt")]
+    assert max(tilt, default=0.0) < 0.5  # the six faces themselves show nothing
+    missed, askew = (item for item in calibration.verdict.findings if item.code == "accel.implausible")
+    missed, askew = (missed, askew) if "stills" in missed.values else (askew, missed)
+    assert (askew.level, askew.values["angle_deg"] > 30.0) == ("fail", True)
+    assert missed.level == "fail"
+    assert missed.values["stills"] >= 14  # SOURCE: 17-18 standstills and more short ones; six are the fit's
+    assert missed.values["beyond"] >= 0.9 * missed.values["stills"]
+    assert missed.values["rms_m_s2"] > 3.0
+
+
+@pytest.mark.parametrize("unit", [0, 1, 2])
+def test_all_poses_of_the_same_boards_are_good(unit):
+    calibration = calibrate(Session(kind="calibration", serial="", gravity_m_s2=9.81, records=(board(unit),)))
+    assert calibration.verdict.status == "good"
+
+
+def faces_then_poses(seed: int, **bench) -> Session:
+    """Return one recording of six faces, stated, and ten free poses behind them, not stated."""
+    rng = np.random.default_rng(seed)
+    device = random_device(rng)
+    settings = BenchSettings(sample_rate_hz=50.0, still_s=4.0, first_still_s=4.0, poses=10, **bench)
+    faces = simulate_session("six_face", device, rng=rng, settings=settings)
+    poses = simulate_session("multi_position", device, rng=rng, settings=settings)
+    one, two = faces.records[0], poses.records[0]
+    joined = Record(
+        time=np.arange(len(one) + len(two)) / 50.0,
+        gyro=np.vstack((one.gyro, two.gyro)),
+        accel=np.vstack((one.accel, two.accel)),
+        gyro_unit=one.gyro_unit,
+        accel_unit=one.accel_unit,
+    )
+    return replace(faces, records=(joined,))
+
+
+@pytest.mark.slow
+def test_good_faces_agree_with_poses_that_were_not_stated():
+    results = [codes(calibrate(faces_then_poses(seed), settings=PLAIN).verdict.findings) for seed in range(8)]
+    assert not [code for result in results for code in result if code.startswith("accel.")]
+
+
+def test_tilted_faces_agree_with_other_poses():
+    sessions = [faces_then_poses(seed, errors=BenchErrors(face_tilt=np.radians(0.5))) for seed in range(8)]
+    results = [codes(calibrate(session, settings=PLAIN).verdict.findings) for session in sessions]
+    assert sum("accel.implausible" in result for result in results) == 0  # 1 in 1,000 each by chance
+
+
+def test_one_rest_that_misses_is_a_warning_and_two_are_a_failure():
+    session = faces_then_poses(3)
+    own = session.stills[-1].stop
+    record = session.records[0]
+    for moved, level in ((1, "warn"), (2, "fail")):
+        accel = np.array(record.accel)
+        for k in range(moved):  # as if the device had fallen or been carried: 0.1 g more in one pose
+            start = own + 50 * (2 + 6 * k)
+            accel[start - 100 : start + 250] *= 1.1
+        findings = calibrate(replace(session, records=(replace(record, accel=accel),)), settings=PLAIN).verdict.findings
+        assert only(findings, "accel.implausible").level == level
+
+
+def test_rests_at_another_temperature_do_not_count():
+    session = faces_then_poses(3)
+    record, own = session.records[0], session.stills[-1].stop
+    accel = np.array(record.accel)
+    accel[own:] *= 1.1
+    away = replace(record, accel=accel)
+    assert "accel.implausible" in codes(calibrate(replace(session, records=(away,)), settings=PLAIN).verdict.findings)
+    temp_c = np.where(np.arange(len(record)) < own, 25.0, 35.0)
+    warm = replace(session, records=(replace(away, temp_c=temp_c),))
+    assert "accel.implausible" not in codes(calibrate(warm, settings=PLAIN).verdict.findings)
+
+
+def test_an_axis_five_degrees_off_the_case_is_bad():
+    rng = np.random.default_rng(4)
+    device = random_device(rng)
+    for angle_deg, status in ((3.0, True), (7.0, False)):
+        angle = np.radians(angle_deg)
+        axes = np.eye(3)
+        axes[0, :2] = np.cos(angle), np.sin(angle)
+        accel = replace(device.accel, scale=replace(device.accel.scale, axes=axes))
+        session = simulate_session("six_face", replace(device, accel=accel), rng=rng)
+        findings = calibrate(session, settings=PLAIN).verdict.findings
+        assert ("accel.implausible" not in codes(findings)) == status
+        if not status:
+            assert only(findings, "accel.implausible").values["angle_deg"] == pytest.approx(7.0, abs=0.1)
+    assert set(FACES) == {s.face for s in session.stills}

@@ -154,15 +154,15 @@ def test_too_few_rests_are_refused_and_the_gyroscopes_stay(poses):
     pair = recording(np.random.default_rng(6), poses=poses)
     with pytest.raises(NotObservable, match="six sides"):
         fitted([pair])
-    made = calibrate_to_references([pair[0]], [pair[1]])
-    assert made.gyro is not None
-    assert made.accel is None
-    assert only(made.verdict.findings, "session.not_observable").level == "info"
+    calibration = calibrate_to_references([pair[0]], [pair[1]])
+    assert calibration.gyro is not None
+    assert calibration.accel is None
+    assert only(calibration.verdict.findings, "session.not_observable").level == "info"
 
 
 @pytest.mark.slow
 def test_a_calibration_from_references_holds_both_triads():
-    made = calibrate_to_references(*([part] for part in recording(np.random.default_rng(7), noise=0.01)))
-    assert made.accel is not None
-    assert made.accel.unit_out == "m/s2"
-    assert made.accel.offset == pytest.approx(OFFSET, abs=0.03)
+    calibration = calibrate_to_references(*([part] for part in recording(np.random.default_rng(7), noise=0.01)))
+    assert calibration.accel is not None
+    assert calibration.accel.unit_out == "m/s2"
+    assert calibration.accel.offset == pytest.approx(OFFSET, abs=0.03)

@@ -63,12 +63,12 @@ def test_readings_without_any_scatter_have_none():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("warmth", [(-0.6, -0.5, -0.1, 1.2), (0.1, 0.5, 0.9, 1.3)])
-def test_offsets_that_creep_with_temperature_cost_what_their_slope_leaves_unknown(warmth):
+def test_creeping_offsets_cost_what_their_slope_leaves_unknown(warmth):
     rng, held, stated, scatter = np.random.default_rng(43), 0, [], []
     away = np.array(warmth)  # K above the reference, of each rest
     for _ in range(100):
         slope = rng.normal(0.0, 0.5, 3)
-        windows = [rng.standard_normal((2000, 3)) + each * slope for each in away]
+        windows = [rng.standard_normal((2000, 3)) + item * slope for item in away]
         mean, variance = mean_of_rests(windows, [50] * 4, 0.5 * away)
         held += int((np.abs(mean) <= 1.96 * np.sqrt(variance)).sum())
         stated.append(variance)
@@ -82,26 +82,26 @@ def test_offsets_that_creep_with_temperature_cost_what_their_slope_leaves_unknow
 
 
 @pytest.mark.slow
-def test_a_thermal_session_is_calibrated_at_the_set_point_nearest_to_room_temperature() -> None:
+def test_thermal_session_is_calibrated_near_room_temperature() -> None:
     rng = np.random.default_rng(3)
     device = random_device(rng, grade="bmi270")
     session = simulate_thermal_session(
         "soak", device, rng=rng, settings=ThermalSettings(set_points_c=(15.0, 27.0, 45.0), faces="six")
     )
-    made = calibrate(session)
-    assert abs(made.reference_temp_c - 27.0) < 1.5  # the thermometer's trim and the soak's tolerance
-    visited = only(made.verdict.findings, "session.temperature")
+    calibration = calibrate(session)
+    assert abs(calibration.reference_temp_c - 27.0) < 1.5  # the thermometer's trim and the soak's tolerance
+    visited = only(calibration.verdict.findings, "session.temperature")
     assert (visited.level, visited.values["groups"]) == ("warn", 3)
     truth = true_calibration(device, temp_c=27.0)
-    assert made.gyro is not None
+    assert calibration.gyro is not None
     assert truth.gyro is not None
     np.testing.assert_allclose(
-        made.gyro.matrix / truth.gyro.matrix.max(), truth.gyro.matrix / truth.gyro.matrix.max(), atol=2e-3
+        calibration.gyro.matrix / truth.gyro.matrix.max(), truth.gyro.matrix / truth.gyro.matrix.max(), atol=2e-3
     )
 
 
 @pytest.mark.slow
-def test_faces_at_room_temperature_go_with_the_rates_at_the_nearest_set_point() -> None:
+def test_faces_at_room_temperature_go_with_the_nearest_rates() -> None:
     rng = np.random.default_rng(3)
     device = random_device(rng, grade="bmi270")
     settings = ThermalSettings(set_points_c=(15.0, 22.0, 30.0, 45.0), faces="six")
@@ -113,13 +113,13 @@ def test_faces_at_room_temperature_go_with_the_rates_at_the_nearest_set_point() 
     kept, _ = at_one_temperature(session)
     assert {still.face for still in kept.stills} == {"+x", "-x", "+y", "-y", "+z", "-z"}
     assert abs(piece_temperatures(kept, kept.turns) - 30.0).max() < 1.5
-    made = calibrate(session)
-    assert made.accel is not None
+    calibration = calibrate(session)
+    assert calibration.accel is not None
     truth = true_calibration(device, temp_c=22.0).accel
     assert truth is not None
-    off = np.abs(np.diag(made.accel.matrix @ np.linalg.inv(truth.matrix)) - 1.0)
+    off = np.abs(np.diag(calibration.accel.matrix @ np.linalg.inv(truth.matrix)) - 1.0)
     assert off.max() < 2e-3
-    assert "session.temperature" in {item.code for item in made.verdict.findings}
+    assert "session.temperature" in {item.code for item in calibration.verdict.findings}
 
 
 def test_a_session_that_warms_a_little_is_left_as_it_is() -> None:

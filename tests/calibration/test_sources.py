@@ -57,11 +57,11 @@ def test_the_covariance_is_that_of_slopes_drawn_from_the_prior() -> None:
     np.testing.assert_allclose(drawn.T @ drawn / 20_000, expected, atol=0.05 * expected.max())
 
 
-def test_what_a_thermometer_lags_behind_on_a_ramp_is_added_back_and_counts_in_the_reference() -> None:
+def test_lag_of_a_thermometer_on_a_ramp_is_added_back() -> None:
     per_s, lag_s = 1.2 / (STILL_S * len(UP)), 80.0
     seen = seen_of(np.linspace(24.0, 25.2, N))  # as read: the sensors are warmer by lag times the rate
     lagging = replace(seen, session=replace(seen.session, sensitivity=TemperatureSensitivity(thermometer_lag_s=lag_s)))
-    plain, added = (creep_of(each, each.stills, "gyro") for each in (seen, lagging))
+    plain, added = (creep_of(item, item.stills, "gyro") for item in (seen, lagging))
     np.testing.assert_allclose(added.warmth - plain.warmth, lag_s * per_s, rtol=1e-3)
     assert added.span_k == pytest.approx(plain.span_k, rel=1e-6)  # the lag moves all alike
     stated = replace(
@@ -73,7 +73,7 @@ def test_what_a_thermometer_lags_behind_on_a_ramp_is_added_back_and_counts_in_th
     )  # stated set-points have no lag
 
 
-def test_thermometer_that_shows_one_step_hides_a_rise_by_one_step() -> None:
+def test_thermometer_of_one_step_hides_a_rise_by_one_step() -> None:
     seen = seen_of(np.where(np.arange(N) < 900, 25.0, 25.5))
     creep = creep_of(seen, seen.stills, "gyro")
     np.testing.assert_allclose(creep.warmth, 0.5 * np.linspace(-0.5, 0.5, 12), atol=1e-9)
@@ -96,9 +96,9 @@ def test_a_real_creep_shows_through_the_noise_and_steps() -> None:
 
 def test_a_span_above_the_limit_is_a_finding() -> None:
     seen = seen_of(np.linspace(24.0, 24.0 + 3.6 * 12 / 11, N))
-    (found,) = creep_of(seen, seen.stills, "accel").findings()
-    assert found.code == "session.temperature"
-    assert found.values["span_k"] == pytest.approx(3.6, rel=1e-3)
+    (result,) = creep_of(seen, seen.stills, "accel").findings()
+    assert result.code == "session.temperature"
+    assert result.values["span_k"] == pytest.approx(3.6, rel=1e-3)
     wide = replace(seen, session=replace(seen.session, sensitivity=TemperatureSensitivity(span_limit_k=4.0)))
     assert creep_of(wide, seen.stills, "accel").findings() == ()
 
@@ -129,7 +129,7 @@ def averages(span: np.ndarray, time: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_the_covariance_of_means_is_the_correlation_averaged_over_both_stretches() -> None:
+def test_covariance_of_means_is_the_averaged_correlation() -> None:
     span = np.vstack((SPAN, [3.0, 52.0]))  # the last overlaps the others
     time = np.arange(0.01, 54.0, 0.02)
     rows = averages(span, time)
@@ -137,7 +137,7 @@ def test_the_covariance_of_means_is_the_correlation_averaged_over_both_stretches
     np.testing.assert_allclose(flicker_of_means(span), rows @ correlation(time) @ rows.T, atol=4e-5)
 
 
-def test_the_mean_from_the_first_to_the_last_stretch_is_taken_off() -> None:
+def test_mean_over_all_stretches_is_subtracted() -> None:
     time = np.arange(0.01, 54.0, 0.02)
     rows = averages(SPAN, time) - averages(np.array([[0.0, 54.0]]), time)
     np.testing.assert_allclose(flicker_about_mean(SPAN), rows @ correlation(time) @ rows.T, atol=2e-4)

@@ -67,20 +67,22 @@ def sigma_of(found, session):
 def true_accel(device):
     """Return the accelerometers as they are, with no uncertainty: a level table's six faces give them."""
     rng = np.random.default_rng(5)
-    made = calibrate(simulate_session("six_face", device, rng=rng), settings=CalibrateSettings(identify_adc=False))
-    assert made.accel is not None
-    return made.accel
+    calibration = calibrate(
+        simulate_session("six_face", device, rng=rng), settings=CalibrateSettings(identify_adc=False)
+    )
+    assert calibration.accel is not None
+    return calibration.accel
 
 
 @pytest.mark.slow
-def test_the_axis_is_found_through_a_table_off_level_and_an_arm_in_dwells_of_less_than_a_turn():
+def test_axis_is_found_through_a_table_off_level():
     device, session = turned()
-    found = axes_of(session, RateTable(mount_tilt_deg=5.0, table_level_deg=0.2), true_accel(device))
+    axes = axes_of(session, RateTable(mount_tilt_deg=5.0, table_level_deg=0.2), true_accel(device))
     true = np.array([turn_axis(session, turn) for turn in session.turns])
     nominal = np.array([unit_vector(turn.axis) for turn in session.turns])
     assert np.abs(true - nominal).max() > 0.2 * DEG
     # What is left is of second order, 0.5 deg of mounting by 0.2 deg of level, and the prior of the arm.
-    assert np.abs(found.direction - true).max() < 0.01 * DEG
+    assert np.abs(axes.direction - true).max() < 0.01 * DEG
 
 
 def turn_axis(session, turn):
@@ -94,14 +96,14 @@ def turn_axis(session, turn):
 
 def pieces_of(*words):
     """Return pieces one after the other: rests by their face, "?" in any pose; turns by axis, or axis and "by" an angle."""
-    made = []
+    results = []
     for n, word in enumerate(words):
         span = {"start": 10 * n, "stop": 10 * n + 9}
         if word == "?" or word[0] in "+-":
-            made.append(Still(face=None if word == "?" else word, **span))
+            results.append(Still(face=None if word == "?" else word, **span))
         else:
-            made.append(Turn(axis=word[0], **({"angle": 6.0} if "by" in word else {"turn_rate": 1.0}), **span))
-    return made
+            results.append(Turn(axis=word[0], **({"angle": 6.0} if "by" in word else {"turn_rate": 1.0}), **span))
+    return results
 
 
 @pytest.mark.parametrize(
@@ -115,12 +117,12 @@ def pieces_of(*words):
         ("x y", [0, 1]),
     ],
 )
-def test_rests_and_turns_that_follow_each_other_with_one_axis_up_are_one_mounting(words, numbers):
-    found = mountings(pieces_of(*words.split()))
-    assert (found < 0).tolist() == [number < 0 for number in numbers]
-    on = found >= 0
+def test_pieces_with_one_axis_up_are_one_mounting(words, numbers):
+    result = mountings(pieces_of(*words.split()))
+    assert (result < 0).tolist() == [number < 0 for number in numbers]
+    on = result >= 0
     alike = np.array(numbers)[:, None] == np.array(numbers)[None, :]
-    np.testing.assert_array_equal((found[:, None] == found[None, :])[np.ix_(on, on)], alike[np.ix_(on, on)])
+    np.testing.assert_array_equal((result[:, None] == result[None, :])[np.ix_(on, on)], alike[np.ix_(on, on)])
 
 
 @pytest.mark.slow
@@ -140,58 +142,58 @@ def test_dwells_in_recordings_of_their_own_are_one_mounting_too():
     lone = axes_of(session, table, None, turns, parts)
     np.testing.assert_allclose(sigma_of(lone, session), 0.5 * DEG, rtol=1e-9)
     accel = true_accel(device)
-    whole, found = axes_of(session, table, accel, records=(noisy,)), axes_of(session, table, accel, turns, parts)
+    whole, result = axes_of(session, table, accel, records=(noisy,)), axes_of(session, table, accel, turns, parts)
     true = np.array([turn_axis(session, turn) for turn in session.turns])
-    error = np.abs(found.direction - true).max()
-    sigma = sigma_of(found, session).max()
+    error = np.abs(result.direction - true).max()
+    sigma = sigma_of(result, session).max()
     # The level, 0.2 deg, is an unknown of each of six dwells; those of 20 deg/s turn by a sixth.
     assert error < 3.0 * sigma
     assert sigma < 0.2 * DEG
     assert sigma > 1.5 * sigma_of(whole, session).max()
 
 
-def test_each_recording_has_a_level_of_its_own_that_is_not_taken_for_wobble():
+def test_each_recording_has_its_level():
     device, session = turned(table=BenchErrors(mount_tilt=0.1 * DEG, level=0.2 * DEG))
     turns = tuple(
         replace(turn, recording=n, start=0, stop=turn.stop - turn.start) for n, turn in enumerate(session.turns)
     )
     parts = tuple(session.records[0].part(turn.start, turn.stop) for turn in session.turns)
     dwells = dwells_of(session)
-    found = axes_of(session, RateTable(table_level_deg=0.2, wobble_deg=0.01), true_accel(device), turns, parts)
+    axes = axes_of(session, RateTable(table_level_deg=0.2, wobble_deg=0.01), true_accel(device), turns, parts)
     rates = (dwells.reading - device.gyro.raw_offset) @ np.linalg.inv(device.gyro.forward_matrix).T
     true = rates / np.linalg.norm(rates, axis=1)[:, None] * np.sign(dwells.turn_rate)[:, None]
     # Each starts at another azimuth. A level in common would leave up to 0.2 deg, and state it as wobble.
-    assert np.abs(found.direction - true).max() < 0.01 * DEG
-    assert sigma_of(found, session).max() < 0.05 * DEG
+    assert np.abs(axes.direction - true).max() < 0.01 * DEG
+    assert sigma_of(axes, session).max() < 0.05 * DEG
 
 
-def test_codes_of_an_accelerometer_are_an_error_that_all_dwells_of_a_mounting_share():
+def test_codes_of_an_accelerometer_are_shared_by_a_mounting():
     device, session = turned(table=BenchErrors(), dwell_s=6.0)
     record = session.records[0]
     accel = true_accel(device)
     step = 0.1 / accel.matrix[0, 0]  # 0.1 m/s2, 10 bits of 5 g
     coarse = replace(record, accel=np.round(record.accel / step) * step)
     table = RateTable(mount_tilt_deg=5.0, table_level_deg=0.0, wobble_deg=0.0)
-    fine, rough = (sigma_of(axes_of(session, table, accel, records=(one,)), session) for one in (record, coarse))
+    fine, rough = (sigma_of(axes_of(session, table, accel, records=(item,)), session) for item in (record, coarse))
     assert np.all(rough**2 - fine**2 > 0.9 * 0.1**2 / 12.0 / G**2)  # the sensors' scales differ by some per cent
 
 
-def test_rests_on_a_table_are_no_level_faces_where_a_plate_shows_all_six():
+def test_rests_on_a_table_are_no_level_faces():
     device, session = turned("bench", BenchErrors(mount_tilt=0.5 * DEG), still_s=3.0)
     session = replace(session, rate_table=RateTable(mount_tilt_deg=0.5))
-    made = calibrate(session, settings=CalibrateSettings(identify_adc=False)).accel
-    assert made is not None
-    away = made.matrix @ device.accel.forward_matrix - np.eye(3)
+    accel = calibrate(session, settings=CalibrateSettings(identify_adc=False)).accel
+    assert accel is not None
+    away = accel.matrix @ device.accel.forward_matrix - np.eye(3)
     # The plate is level. A rest on the table taken for a face of its own has a third of 0.5 deg in it.
     assert np.abs(away).max() < 0.02 * DEG
 
 
-def test_without_accelerometers_the_mounting_stays_in_the_covariance_in_full():
+def test_mounting_stays_in_the_covariance_without_accelerometers():
     _, session = turned()
-    found = axes_of(session, RateTable(mount_tilt_deg=0.3, rate_uncertainty=2e-4, wobble_deg=0.0), None)
-    np.testing.assert_array_equal(found.direction, [unit_vector(turn.axis) for turn in session.turns])
-    np.testing.assert_allclose(sigma_of(found, session), 0.3 * DEG, rtol=1e-9)
-    assert found.rate == 2e-4
+    axes = axes_of(session, RateTable(mount_tilt_deg=0.3, rate_uncertainty=2e-4, wobble_deg=0.0), None)
+    np.testing.assert_array_equal(axes.direction, [unit_vector(turn.axis) for turn in session.turns])
+    np.testing.assert_allclose(sigma_of(axes, session), 0.3 * DEG, rtol=1e-9)
+    assert axes.rate == 2e-4
 
 
 def test_a_gap_in_the_gyroscope_leaves_a_block_unmeasured():
@@ -211,7 +213,7 @@ def test_a_gap_in_the_gyroscope_leaves_a_block_unmeasured():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("devices", [16, 100])
-def test_a_mounting_three_times_the_stated_one_is_covered_where_tilted_faces_blur_gravity(devices):
+def test_mounting_worse_than_stated_is_covered(devices):
     case, rng, ratio = rate_bench.CASES["mounted 0.3 deg off, faces by 0.2 deg"], np.random.default_rng(31), []
     for _ in range(devices):
         device, session, *_ = rate_bench.drawn(case, rng)
@@ -243,7 +245,7 @@ def test_what_no_table_can_be_is_refused(name):
             RateTable(**{name: value})
 
 
-def test_dwells_that_are_too_short_to_show_gravity_are_calibrated_by_their_rates() -> None:
+def test_dwells_too_short_for_gravity_are_calibrated_by_rates() -> None:
     device, session = turned(dwell_s=0.5)
     # gravity is not seen: the axes are those stated, as well as a table is mounted
     felt = axes_of(session, RateTable(), true_accel(device))

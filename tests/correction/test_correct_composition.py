@@ -41,7 +41,7 @@ def at_rest(temp, rng, noise=0.0):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_at_the_temperature_of_the_calibration_a_thermal_table_changes_the_rate_at_rest_by_its_uncertainty_alone(seed):
+def test_thermal_table_agrees_at_the_calibration_temperature(seed):
     rng, noise, many = np.random.default_rng(seed), 2.0, 4000
     raw = at_rest(np.full(many, REFERENCE_C), rng, noise)
     c = device(g=False)
@@ -78,7 +78,7 @@ def test_a_constant_that_a_table_replaces_has_no_say(change):
     assert correct_checked(r, c).record.accel.tobytes() == correct_checked(r, other).record.accel.tobytes()
 
 
-def test_a_scale_table_that_holds_the_constant_matrix_changes_nothing():
+def test_scale_table_of_the_constant_matrix_changes_nothing():
     c, r = device(), record()
     c = replace(c, reference_temp_c=np.nan)
     same = ScaleDrift(
@@ -93,7 +93,7 @@ def test_a_scale_table_that_holds_the_constant_matrix_changes_nothing():
     np.testing.assert_allclose(got.accel, plain.accel, rtol=0, atol=1e-13)
 
 
-def test_the_dynamic_table_meets_the_rate_that_the_scale_table_left():
+def test_dynamic_table_meets_the_rate_after_the_scale_table():
     c, rng = device(), np.random.default_rng(9)
     temp = np.linspace(20.0, 70.0, N)
     matrix = c.gyro.matrix * (1.0 + 0.01 * (STEPS - 45.0))[:, None, None]  # a third more or less at the ends

@@ -27,12 +27,12 @@ CLOSE = 1e-13
 
 
 def moving(drift=None, *, code=CODE, **changes):
-    made = device(drift=drift, **changes)
+    model = device(drift=drift, **changes)
     gyro = replace(
-        made.gyro, moving_offset=MOVING, code_offset=code,
+        model.gyro, moving_offset=MOVING, code_offset=code,
         parameters=(*MATRIX_NAMES, *OFFSET_NAMES, *MOVING_NAMES, *CODE_NAMES), covariance=np.eye(18) * 1e-6,
     )  # fmt: skip
-    return replace(made, gyro=gyro)
+    return replace(model, gyro=gyro)
 
 
 def turns_and_rests(calibration, **changes):
@@ -52,7 +52,7 @@ def as_at_rest(calibration):
 def test_the_change_is_subtracted_while_the_device_turns_alone(g):
     c = moving(g=g)
     r = turns_and_rests(c)
-    got, without = (correct_checked(r, one).record for one in (c, as_at_rest(c)))
+    got, without = (correct_checked(r, item).record for item in (c, as_at_rest(c)))
     u = r.gyro + CODE * np.sign(r.gyro) * (np.abs(r.gyro) > np.abs(CODE))
     w, _ = twins.corrected(c, u, r.accel, r.temp_c)
     np.testing.assert_allclose(without.gyro, w, rtol=0, atol=CLOSE)
@@ -66,7 +66,7 @@ def test_the_change_is_subtracted_while_the_device_turns_alone(g):
 def test_a_table_of_offsets_is_that_of_rests():
     c = moving(tables(dynamic=None), g=False)
     r = turns_and_rests(c)
-    got, without = (correct_checked(r, one).record.gyro for one in (c, as_at_rest(c)))
+    got, without = (correct_checked(r, item).record.gyro for item in (c, as_at_rest(c)))
     m = find_turning(without, r.time)[0]
     np.testing.assert_allclose(got - without, -m[:, None] * MOVING, rtol=0, atol=CLOSE)
 
@@ -74,7 +74,7 @@ def test_a_table_of_offsets_is_that_of_rests():
 @pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(cuts=st.sets(st.integers(2, N - 2)))
-def test_a_stream_carries_the_turn_and_equals_the_batch_to_the_last_bit(cuts):
+def test_stream_with_turns_equals_the_batch(cuts):
     c = moving()
     r = turns_and_rests(c)
     gyro = np.array(r.gyro)
@@ -98,17 +98,18 @@ def test_the_rest_is_subtracted_once():
     r = turns_and_rests(c)
     later = replace(r, gyro=np.asarray(r.gyro) + 3.0)
     rest = rest_offset(correct_checked(later, c).record, FIRST)
-    named = correct_checked(later, c, offset=rest).record.gyro
-    np.testing.assert_allclose(named[:280].mean(axis=0), 0.0, atol=1e-12)
+    gyro = correct_checked(later, c, offset=rest).record.gyro
+    np.testing.assert_allclose(gyro[:280].mean(axis=0), 0.0, atol=1e-12)
     before = correct_checked(r, c, offset=rest_offset(correct_checked(r, c).record, FIRST)).record.gyro
-    np.testing.assert_allclose(named[300:520], before[300:520], rtol=0, atol=2e-3)  # but for codes about zero
+    np.testing.assert_allclose(gyro[300:520], before[300:520], rtol=0, atol=2e-3)  # but for codes about zero
 
 
 def test_the_rest_states_what_is_left_of_the_change_to_motion():
     c = moving(g=False)
     r = turns_and_rests(c, accel=np.tile((0.0, 0.0, 1962.0), (N, 1)))
     rest, assumed = (
-        correct_checked(r, one, offset="rest").rest for one in (c, replace(c, gyro=replace(c.gyro, moving_offset=None)))
+        correct_checked(r, item, offset="rest").rest
+        for item in (c, replace(c, gyro=replace(c.gyro, moving_offset=None)))
     )
     assert rest.moved == pytest.approx(np.sqrt(3e-6 + 3.0 * np.radians(0.005) ** 2), rel=1e-12)
     assert assumed.moved == pytest.approx(np.sqrt(3.0) * np.radians(0.02), rel=1e-12)
@@ -116,8 +117,8 @@ def test_the_rest_states_what_is_left_of_the_change_to_motion():
 
 
 def test_files_hold_both_and_those_of_before_are_read(tmp_path):
-    made, file = moving(), tmp_path / "calibration.json"
-    write_calibration(made, file)
+    result, file = moving(), tmp_path / "calibration.json"
+    write_calibration(result, file)
     again = read_calibration(file).gyro
     assert (again.moving_offset == MOVING).all()
     assert (again.code_offset == CODE).all()
@@ -133,7 +134,7 @@ def test_files_hold_both_and_those_of_before_are_read(tmp_path):
 
 
 @pytest.mark.parametrize("adc", ROUNDINGS)
-def test_what_a_fit_found_of_codes_stands_in_place_of_half_a_step(adc):
+def test_fitted_code_offset_replaces_half_a_step(adc):
     plain = moving(g=False)
     c, r = replace(plain, adc=adc), turns_and_rests(plain)
     assert correct_checked(r, c).record.gyro.tobytes() == correct_checked(r, plain).record.gyro.tobytes()

@@ -55,14 +55,14 @@ def test_a_chunk_that_comes_again_is_refused_and_the_state_stays():
     r, corrector = record(temp_c=None), Corrector(device())
     corrector.push(r.part(0, 50))
     before = corrector.state
-    with pytest.raises(InputError, match=r"begins after 0.49 s, got one from 0.4 s"):
+    with pytest.raises(InputError, match=r"after 0.49 s"):
         corrector.push(r.part(40, 60))
     assert corrector.state == before
 
 
 def test_a_stream_warns_as_the_batch_does():
     corrector = Corrector(device(drift=tables(dynamic=None)), "hold")
-    with pytest.warns(DriftRangeWarning, match="outside the drift table"):
+    with pytest.warns(DriftRangeWarning, match="the drift table"):
         corrector.push(record(low=80.0, high=90.0))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -73,7 +73,7 @@ def test_a_stream_warns_as_the_batch_does():
 
 
 @pytest.mark.parametrize("drift", [None, tables(), tables(static=None)], ids=["constant", "tables", "dynamic"])
-def test_a_stream_reports_at_its_end_what_the_batch_reports_and_each_once(drift):
+def test_stream_reports_each_finding_of_the_batch_once(drift):
     c, r = device(drift=drift), record(low=10.0, high=80.0)
     corrector = Corrector(c, "hold")
     for start in range(0, N, 29):
@@ -86,7 +86,7 @@ def test_a_stream_reports_at_its_end_what_the_batch_reports_and_each_once(drift)
 
 
 @pytest.mark.parametrize("length", [2, 29, 101])
-def test_seconds_of_a_stream_are_the_bits_of_the_batch_on_an_uneven_clock(length):
+def test_seconds_of_a_stream_are_those_of_the_batch(length):
     rng = np.random.default_rng(8)
     r = record(low=0.0, high=90.0)
     temp = np.where(rng.random(N) < 0.1, np.nan, r.temp_c)
@@ -113,23 +113,23 @@ def test_a_stream_refuses_a_corrected_record():
     assert corrector.state.reach.samples == 50
 
 
-def test_chunks_read_ahead_come_in_order_once_and_what_reading_raises_comes_in_its_place():
+def test_chunks_read_ahead_come_in_order():
     r = record(temp_c=None)
     parts = [r.part(k, k + 20) for k in range(0, 100, 20)]
 
     def broken():
         yield from parts
-        raise InputError("the file is cut here")
+        raise InputError("cut")
 
     chunks = read_ahead(broken())
     assert [id(next(chunks)) for _ in parts] == [id(c) for c in parts]
-    with pytest.raises(InputError, match="the file is cut here"):
+    with pytest.raises(InputError, match="cut"):
         next(chunks)
     assert [id(c) for c in read_ahead(iter(parts))] == [id(c) for c in parts]
     assert list(read_ahead(iter([]))) == []
 
 
-def test_reading_ahead_takes_one_chunk_more_than_was_asked_for_and_no_other():
+def test_reading_ahead_takes_one_chunk_more():
     taken = []
 
     def counted():

@@ -35,19 +35,19 @@ def marked(drift, *, static=None, scale=None, dynamic=None, accel=True):
 
 @pytest.mark.parametrize("nodes", [STEPS, WILD, np.array([18.0, 20.0, 26.0, 75.0])], ids=["even", "searched", "filled"])
 @pytest.mark.parametrize("temp", [record().temp_c, QUANTISED], ids=["between", "on nodes"])
-def test_a_sample_is_extrapolated_where_a_node_that_it_draws_on_is(nodes, temp):
+def test_sample_at_an_extrapolated_node_is_extrapolated(nodes, temp):
     marks = np.random.default_rng(7).random(len(nodes)) < (0.2 if len(nodes) > 9 else 0.0)
     marks[0] = True
     drift = marked(tables(static=nodes, dynamic=None), static=marks)
     c, r = device(drift=drift), replace(record(), temp_c=temp)
     done = correct_checked(r, c)
-    of_rate, of_accel = (twins.extrapolated(nodes, each, temp) for each in (marks, marks[::-1]))
+    of_rate, of_accel = (twins.extrapolated(nodes, item, temp) for item in (marks, marks[::-1]))
     np.testing.assert_array_equal(done.extrapolated, of_rate | of_accel)
     assert 0 < np.count_nonzero(done.extrapolated) < N
     assert done.reach.seconds_extrapolated == pytest.approx(np.count_nonzero(done.extrapolated) * 0.01)
 
 
-def test_the_dynamic_table_is_extrapolated_where_rate_and_temperature_meet_a_mark():
+def test_dynamic_table_is_extrapolated_at_a_mark():
     marks = np.zeros((len(STEPS), len(GAP)), dtype=bool)
     marks[STEPS > 40.0] = np.radians(45.0) < GAP  # hot and fast to the one side
     c = device(drift=marked(tables(static=None, dynamic=(STEPS, GAP)), dynamic=marks))
@@ -63,7 +63,7 @@ def test_marks_of_a_scale_table_count():
     np.testing.assert_array_equal(correct_checked(record(), device(drift=drift)).extrapolated, record().temp_c > 60.0)
 
 
-def test_what_lies_outside_the_table_is_outside_and_not_extrapolated():
+def test_readings_outside_the_table_are_not_extrapolated():
     marks = (STEPS < 30.0) | (STEPS > 70.0)
     c, r = device(drift=marked(tables(dynamic=None), static=marks)), record(low=10.0, high=80.0)
     for policy in ("hold", "nan"):
@@ -74,26 +74,26 @@ def test_what_lies_outside_the_table_is_outside_and_not_extrapolated():
         inside = (r.temp_c >= 18.0) & (r.temp_c <= 75.0)
         # the marks of the accelerometers run the other way: below 23 and above 63 degC
         np.testing.assert_array_equal(done.extrapolated, inside & ((r.temp_c < 30.0) | (r.temp_c > 63.0)))
-        assert [found.code for found in done.findings] == ["correct.outside", "correct.outside"]
-        assert done.warnings[0].startswith(f"{done.outside.sum() * 0.01:.1f} s outside the drift table: 1")
-        assert done.warnings[1].startswith(f"{done.extrapolated.sum() * 0.01:.1f} s with an extrapolated drift table")
+        assert [finding.code for finding in done.findings] == ["correct.outside", "correct.outside"]
+        for seconds, warning in zip((done.outside.sum(), done.extrapolated.sum()), done.warnings, strict=True):
+            assert f"{seconds * 0.01:.1f} s" in warning
 
 
-def test_raise_refuses_what_lies_further_beyond_what_was_seen_than_tables_reach_unasked():
+def test_raise_refuses_readings_far_beyond_the_data():
     c = device(drift=marked(tables(dynamic=None), static=STEPS > 60.0, accel=False))
     assert correct_checked(record(high=62.9), c).extrapolated.any()
-    with pytest.raises(DriftRangeError, match=r"expected temperatures from 18 to 63 degC, got 20\.0 to 63\.\d degC"):
+    with pytest.raises(DriftRangeError, match="18 to 63 degC"):
         correct_checked(record(high=63.9), c)
-    with pytest.raises(DriftRangeError, match="expected temperatures from 18 to 63 degC"):
+    with pytest.raises(DriftRangeError, match="18 to 63 degC"):
         Corrector(c, "raise").push_checked(record(high=63.9))
 
 
-def test_extrapolated_nodes_are_part_of_the_table_and_warn_where_they_are_not_refused():
+def test_extrapolated_nodes_warn():
     c = device(drift=marked(tables(dynamic=None), static=STEPS > 60.0, accel=False))
     for policy in ("hold", "nan"):
         done = correct_checked(record(), c, policy=policy)
         assert np.isfinite(done.record.gyro).all()
-        assert done.warnings[0].startswith(f"{done.reach.seconds_extrapolated:.1f} s with an extrapolated drift table")
+        assert f"{done.reach.seconds_extrapolated:.1f} s" in done.warnings[0]
 
 
 def test_tables_without_a_mark_or_met_elsewhere_give_no_warning():
@@ -130,7 +130,7 @@ def test_on_a_node_only_its_own_mark_counts(nodes, marked_node):
     np.testing.assert_array_equal(correct_checked(r, c, policy="hold").extrapolated, marks)
 
 
-def test_on_a_node_of_rate_and_temperature_only_its_own_mark_counts():
+def test_mark_on_a_node_of_rate_and_temperature_counts_there():
     temp, rate = np.array([20.0, 30.0, 40.0]), np.array([-1.0, 0.0, 1.0])
     model = replace(device(g=False).gyro, matrix=np.eye(3), offset=np.zeros(3))
     for place in np.ndindex(3, 3):

@@ -1,6 +1,5 @@
 """The offset that motion shows: intervals hold on simulated people, it follows the device, gravity bears it out on real trials."""
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -36,12 +35,14 @@ def worn(seed: int, name: TaskName, scale: float = 1e-3) -> tuple[Record, np.nda
     task = draw_task(name, rng=rng)
     motion = task.at(np.arange(round(task.duration_s * RATE_HZ)) / RATE_HZ, STANDARD_GRAVITY)
     device = random_device(rng)
-    made = true_calibration(device, temp_c=25.0)
-    assert made.gyro is not None
-    assert made.accel is not None
-    gyro = replace(made.gyro, matrix=made.gyro.matrix @ (np.eye(3) + scale * rng.standard_normal((3, 3))))
-    accel = replace(made.accel, offset=made.accel.offset + 0.02 * rng.standard_normal(3))
-    done = correct_whole(simulate_device(device, motion, rng=rng).record, replace(made, gyro=gyro, accel=accel)).record
+    calibration = true_calibration(device, temp_c=25.0)
+    assert calibration.gyro is not None
+    assert calibration.accel is not None
+    gyro = replace(calibration.gyro, matrix=calibration.gyro.matrix @ (np.eye(3) + scale * rng.standard_normal((3, 3))))
+    accel = replace(calibration.accel, offset=calibration.accel.offset + 0.02 * rng.standard_normal(3))
+    done = correct_whole(
+        simulate_device(device, motion, rng=rng).record, replace(calibration, gyro=gyro, accel=accel)
+    ).record
     moved = MOVED * rng.standard_normal(3)
     rate = np.asarray(done.gyro) + moved
     return replace(done, gyro=rate), (rate - motion.mean_rate_b).mean(axis=0), moved
@@ -50,9 +51,7 @@ def worn(seed: int, name: TaskName, scale: float = 1e-3) -> tuple[Record, np.nda
 @pytest.mark.slow
 @pytest.mark.parametrize("devices", [15, 300])
 @pytest.mark.parametrize(("name", "raw"), [("free", False), ("free", True), ("posturography", False)])
-def test_nineteen_of_twenty_intervals_hold_the_offset_of_people_who_move(
-    name: TaskName, raw: bool, devices: int
-) -> None:
+def test_intervals_hold_the_offset_of_people_who_move(name: TaskName, raw: bool, devices: int) -> None:
     errors, stated, before = [], [], []
     for seed in range(devices):
         record, true, moved = worn(seed, name)
@@ -62,11 +61,11 @@ def test_nineteen_of_twenty_intervals_hold_the_offset_of_people_who_move(
             record = replace(record, accel=record.accel @ wrong.T + 0.3 * rng.standard_normal(3))
         rest = find_rest_offset(record)
         rest = replace(rest, rate=rest.rate - moved)  # at rest the offset was another
-        found = fit_motion(record, rest).offset
-        errors.append(found.rate[0] - true)
-        stated.append(np.sqrt(np.diag(found.covariance[0])))
+        offset = fit_motion(record, rest).offset
+        errors.append(offset.rate[0] - true)
+        stated.append(np.sqrt(np.diag(offset.covariance[0])))
         before.append(rest.mean - true)
-    error, sigma, first = (np.degrees(each) for each in (errors, stated, before))
+    error, sigma, first = (np.degrees(item) for item in (errors, stated, before))
     inside = int((np.abs(error) < 1.96 * sigma).sum())
     ratio = float(np.sqrt((error**2).mean() / (sigma**2).mean()))
     show(f"{name}, inside 95 %, rmse over stated", (inside / error.size, ratio), "0.90 to 0.98")
@@ -103,23 +102,23 @@ def known(rate: FloatArray) -> RemainingOffset:
     return RemainingOffset(time=np.array([0.5]), rate=rate[None], covariance=zero, rest_s=(0.0, 1.0), moved=0.0)
 
 
-def test_the_offset_of_a_long_recording_is_followed_from_stretch_to_stretch() -> None:
+def test_offset_of_a_long_recording_is_followed() -> None:
     drift = np.radians([0.03, -0.02, 0.0])
-    found = fit_motion(
+    offset = fit_motion(
         swaying(4.0 * STRETCH_S, drift),
         known(-0.5 * drift),
     ).offset
-    assert found.rate.shape == (4, 3)
+    assert offset.rate.shape == (4, 3)
     true = ((np.arange(4) + 0.5) / 4.0 - 0.5)[:, None] * drift
-    off = np.degrees(found.rate - true)[:, :2]
+    off = np.degrees(offset.rate - true)[:, :2]
     show("errors of four stretches about x and y, deg/s", np.abs(off).max(), 0.003)
     assert np.abs(off).max() < 0.003
-    np.testing.assert_allclose(found.at(found.time), found.rate)
+    np.testing.assert_allclose(offset.at(offset.time), offset.rate)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("numbers", [(3, 7, 24), tuple(FILES)])
-def test_gravity_in_motion_halves_the_inclination_that_a_rest_leaves_in_every_real_trial(
+def test_gravity_in_motion_halves_the_inclination(
     numbers: tuple[int, ...],
 ) -> None:
     ends = []
@@ -129,7 +128,7 @@ def test_gravity_in_motion_halves_the_inclination_that_a_rest_leaves_in_every_re
             validate_trial(record, reference, settings=TrialSettings(offset=offset)).figures
             for offset in ("rest", "motion")
         ]
-        ends.append([one.end_inclination_deg for one in judged])
+        ends.append([item.end_inclination_deg for item in judged])
     show(
         "end inclination of eight trials of two minutes, mean, deg: rest, motion",
         np.mean(ends, axis=0).round(2).tolist(),
@@ -144,29 +143,14 @@ def test_orient_states_what_motion_shows_and_drifts_less() -> None:
     later = np.where(record.time > 8.0, 0.03 * RADIAN_PER_DEGREE, 0.0)[:, None] * np.array([1.0, 0.0, 0.0])
     record = replace(record, gyro=np.asarray(record.gyro) + later)
     rest, moved = (orient(record, settings=OrientSettings(offset=offset)) for offset in ("rest", "motion"))
-    assert "correct.offset_subtracted" in [one.code for one in moved.findings]
-    found = float((moved.offset - rest.offset)[0]) / RADIAN_PER_DEGREE
-    show("offset about x that came after the rest, deg/s", found, "0.03")
-    assert found == pytest.approx(0.03, abs=0.015)
+    assert "correct.offset_subtracted" in [finding.code for finding in moved.findings]
+    result = float((moved.offset - rest.offset)[0]) / RADIAN_PER_DEGREE
+    show("offset about x that came after the rest, deg/s", result, "0.03")
+    assert result == pytest.approx(0.03, abs=0.015)
     assert MOVED < moved.offset_uncertainty < 0.8 * rest.offset_uncertainty  # both count the change from rest to motion
 
 
-def test_what_motion_cannot_show_is_refused() -> None:
-    record, rest = (
-        swaying(30.0, np.zeros(3)),
-        known(np.zeros(3)),
-    )
-    with pytest.raises(InputError, match=re.escape("expected 20 s or more without gaps, got 9.95 s")):
-        fit_motion(record.part(0, 200), rest)
-    gone = np.array(record.accel)
-    gone[7] = np.nan
-    with pytest.raises(InputError, match=r"got 1 gaps \(NaN\)"):
-        fit_motion(replace(record, accel=gone), rest)
-    with pytest.raises(InputError, match="rates and specific force"):
-        fit_motion(replace(record, accel=None), rest)
-
-
-def test_a_stream_takes_the_offset_of_motion_as_the_whole_record_does() -> None:
+def test_stream_takes_the_offset_of_motion() -> None:
     rng = np.random.default_rng(6)
     device = random_device(rng)
     record, model = simulate_trial("posturography", device, rng=rng).record, true_calibration(device)
@@ -181,15 +165,15 @@ def test_a_stream_takes_the_offset_of_motion_as_the_whole_record_does() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("devices", [8, 60])
-def test_without_a_rest_the_offset_is_found_from_half_a_degree_per_second_away(devices: int) -> None:
+def test_offset_is_found_without_a_rest(devices: int) -> None:
     away, stated = [], []
     for seed in range(devices):
         record, true, _ = worn(seed, "free")
         far = 0.3 * RADIAN_PER_DEGREE * np.random.default_rng(seed).standard_normal(3)
-        found = fit_motion(replace(record, gyro=np.asarray(record.gyro) + far), None).offset
-        assert found.rest_s is None
-        away.append(found.rate.mean(axis=0) - true - far)
-        stated.append(np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2).mean(axis=0)))
+        offset = fit_motion(replace(record, gyro=np.asarray(record.gyro) + far), None).offset
+        assert offset.rest_s is None
+        away.append(offset.rate.mean(axis=0) - true - far)
+        stated.append(np.sqrt(np.diagonal(offset.covariance, axis1=1, axis2=2).mean(axis=0)))
     inside = np.abs(away) < 1.96 * np.array(stated)
     show("inside 95 %, without a rest", f"{inside.mean():.1%}")
     # A start far away left walks of the attitude that explained it, with errors of 0.3 deg/s about level axes.
@@ -198,7 +182,7 @@ def test_without_a_rest_the_offset_is_found_from_half_a_degree_per_second_away(d
 
 
 @pytest.mark.parametrize(("stated_dps", "wanted_dps"), [(0.001, 0.005), (1.0, 0.02)])
-def test_a_fitted_change_to_motion_takes_the_place_of_the_assumed_one(stated_dps: float, wanted_dps: float) -> None:
+def test_fitted_change_to_motion_replaces_the_assumed_one(stated_dps: float, wanted_dps: float) -> None:
     record, _, _ = worn(5, "free")
     rest = replace(find_rest_offset(record), covariance=np.zeros((1, 3, 3)))
     gyro = true_calibration(random_device(np.random.default_rng(5)), temp_c=25.0).gyro
@@ -209,11 +193,11 @@ def test_a_fitted_change_to_motion_takes_the_place_of_the_assumed_one(stated_dps
         moving_offset=np.zeros(3),
         covariance=np.diag(np.repeat((0.0, (stated_dps * RADIAN_PER_DEGREE) ** 2), (12, 3))),
     )
-    before = [fit_motion(record, rest, one).offset.prior / RADIAN_PER_DEGREE for one in (None, model)]
+    before = [fit_motion(record, rest, item).offset.prior / RADIAN_PER_DEGREE for item in (None, model)]
     np.testing.assert_allclose(before, [[0.02] * 3, [wanted_dps] * 3], rtol=0.05)
 
 
-def test_an_error_of_the_rates_moves_the_offset_by_what_is_stated() -> None:
+def test_rate_error_moves_the_offset_as_stated() -> None:
     record, *_ = worn(4, "free")
     rest = find_rest_offset(record)
     rates = np.asarray(record.gyro)
@@ -233,3 +217,22 @@ def test_an_error_of_the_rates_moves_the_offset_by_what_is_stated() -> None:
         assert np.abs(stated).max() > 0.03
     short = done.part(0, round(4.0 * RATE_HZ))
     assert not offset_answer(short, first.prior, np.asarray(short.gyro)).any()
+
+
+def with_a_gap(record: Record) -> Record:
+    accel = np.array(record.accel)
+    accel[7] = np.nan
+    return replace(record, accel=accel)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda record: record.part(0, 200), "got 9.95 s"),
+        (with_a_gap, "got 1 gaps"),
+        (lambda record: replace(record, accel=None), "specific force"),
+    ],
+)
+def test_recordings_whose_motion_shows_no_offset_are_refused(change, words) -> None:
+    with pytest.raises(InputError, match=words):
+        fit_motion(change(swaying(30.0, np.zeros(3))), known(np.zeros(3)))

@@ -43,7 +43,7 @@ def test_the_cell_of_an_even_table_is_found_without_a_search(low, parts, cells):
     assert grid.cells == cells
 
 
-def test_the_default_table_of_115_nodes_and_the_paper_s_rates_need_no_search():
+def test_default_tables_need_no_search():
     assert grid_of(STEPS).inverse == pytest.approx(2.0)  # per degC
     assert grid_of(np.arange(18.0, 75.25, 0.5)).inverse > 0.0
     assert grid_of(GAP).inverse > 0.0
@@ -51,7 +51,7 @@ def test_the_default_table_of_115_nodes_and_the_paper_s_rates_need_no_search():
 
 
 @pytest.mark.parametrize("nodes", [STEPS, WILD], ids=["even", "searched"])
-def test_the_cell_and_the_fraction_in_it_are_found_to_both_ends_and_beyond(nodes):
+def test_cell_and_fraction_are_found_to_both_ends(nodes):
     grid, values = grid_of(nodes), np.arange(len(nodes), dtype=float)
     for x in (*nodes, *(0.3 * nodes[1:] + 0.7 * nodes[:-1]), nodes[0] - 5.0, nodes[-1] + 5.0):
         i, f = cell(grid, x)
@@ -61,7 +61,7 @@ def test_the_cell_and_the_fraction_in_it_are_found_to_both_ends_and_beyond(nodes
 
 
 @pytest.mark.parametrize("half_step", [0.0, 0.5])
-def test_the_warm_up_is_subtracted_from_the_unrounded_reading_as_the_twin_does(half_step):
+def test_warm_up_is_subtracted_from_the_unrounded_reading(half_step):
     rng = np.random.default_rng(1)
     x = np.round(rng.normal(size=(200, 3)) * 3.0)
     since, h = np.linspace(0.0, 40.0, 200), np.full(3, half_step)

@@ -52,7 +52,7 @@ def worn(seed=1, *, rest_s=20.0, motion_s=20.0, noise=1e-3, walk=0.0):
     ), still
 
 
-def test_what_is_left_at_the_first_rest_is_subtracted_from_every_sample_and_stated():
+def test_offset_at_the_first_rest_is_subtracted():
     record, still = worn()
     plain, done = correct(record, CALIBRATION, check=False), correct_checked(record, CALIBRATION, offset="rest")
     assert done.rest is not None
@@ -67,25 +67,15 @@ def test_what_is_left_at_the_first_rest_is_subtracted_from_every_sample_and_stat
     assert np.isfinite(done.rest.covariance).all()
 
 
-def test_corrected_with_the_rest_and_oriented_is_oriented_with_the_rest():
-    record, _ = worn(2)
-    named = orient(correct(record, CALIBRATION, check=False), settings=OrientSettings(offset="rest"))
-    done = correct_checked(record, CALIBRATION, offset="rest")
-    other = orient(done.record)
-    np.testing.assert_allclose(other.q_nb, named.q_nb, atol=1e-12)
-    assert (named.time[named.still.start], named.time[named.still.stop - 1]) == done.rest.rest_s
-    np.testing.assert_allclose(named.offset, done.rest.mean, atol=1e-15)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("walk", [0.0, 2e-4], ids=["white", "coloured"])
-def test_the_stated_uncertainty_holds_for_white_and_for_coloured_noise(walk):
+def test_stated_uncertainty_holds_for_coloured_noise(walk):
     # chi square of 3 axes over 40 records: 120 degrees of freedom, 99.9 % of it lies within 0.64 and 1.45 of its mean; noise of
     # 1 s over rests of 18 s leaves few independent values, so that their variance is known to a third: 2.2 at most
     square = 0.0
     for seed in range(40):
-        found = find_rest_offset(worn(seed, walk=walk)[0])
-        square += float((((found.mean - LEFT) ** 2) / np.diag(found.covariance[0])).sum())
+        rest = find_rest_offset(worn(seed, walk=walk)[0])
+        square += float((((rest.mean - LEFT) ** 2) / np.diag(rest.covariance[0])).sum())
     show(
         f"rest offset, {'coloured' if walk else 'white'} noise: chi square over its degrees",
         f"{square / 120.0:.2f}",
@@ -95,77 +85,90 @@ def test_the_stated_uncertainty_holds_for_white_and_for_coloured_noise(walk):
 
 
 @pytest.mark.parametrize("length", [1, 7, 333, 4000])
-def test_a_stream_finds_the_rest_of_the_whole_record_and_gives_its_bits(length, monkeypatch):
+def test_stream_finds_the_rest_of_the_whole_record(length, monkeypatch):
     monkeypatch.setattr(rest_module, "FOUND_IN_S", 25.0)
     record, _ = worn(3)
     whole = correct_checked(record, CALIBRATION, offset="rest")
     size = max(length, 50)
     parts = [record.part(a, min(a + size, len(record))) for a in range(0, len(record), size)]
     before = Corrector(CALIBRATION)
-    found = find_rest_offset(joined([before.push(part) for part in parts]))
-    assert found.rest_s == whole.rest.rest_s
-    np.testing.assert_array_equal(found.rate, whole.rest.rate)
-    stream = Corrector(CALIBRATION, offset=found)
+    rest = find_rest_offset(joined([before.push(part) for part in parts]))
+    assert rest.rest_s == whole.rest.rest_s
+    np.testing.assert_array_equal(rest.rate, whole.rest.rate)
+    stream = Corrector(CALIBRATION, offset=rest)
     gyro = np.concatenate([stream.push(part).gyro for part in parts])
     np.testing.assert_array_equal(gyro, whole.record.gyro)
     read = before.state.reach.samples
     assert read <= len(record)
 
 
-def test_a_given_stretch_is_refused_if_it_is_short_or_has_gaps():
-    record, _ = worn(5)
-    assert rest_offset(record, Still(start=200, stop=600)).rest_s == (2.0, 5.99)
-    with pytest.raises(InputError, match=r"rest: expected 10 samples at rest or more, without gaps, got 5 samples"):
-        rest_offset(record, Still(start=200, stop=205))
-    holed = replace(record, gyro=np.where(np.arange(len(record))[:, None] == 300, np.nan, record.gyro))
-    with pytest.raises(InputError, match=r"got 1 gaps \(NaN\)"):
-        rest_offset(holed, Still(start=200, stop=600))
-
-
-def test_a_recording_without_a_rest_or_without_gyroscopes_is_refused_in_one_line():
-    rng = np.random.default_rng(6)
-    shaken = Record(time=np.arange(3000) / FS, gyro=rng.normal(size=(3000, 3)), accel=9.8 + rng.normal(size=(3000, 3)))
-    with pytest.raises(InputError, match=r"correct: no still phase") as raised:
-        correct(shaken, CALIBRATION, offset="rest")
-    assert "\n" not in str(raised.value)
-    only = Record(time=np.arange(300) / FS, accel=np.tile([0.0, 0.0, 9.8], (300, 1)))
-    with pytest.raises(InputError, match=r"rest: .*Omit `offset`"):
-        correct(only, CALIBRATION, offset="rest")
-
-
-def test_correct_orient_and_validate_subtract_the_mean_of_the_same_rest():
+def test_correct_orient_and_validate_subtract_the_same_rest():
     rng = np.random.default_rng(5)
     device = random_device(rng)
-    made = simulate_trial("sit_to_stand", device, rng=rng)
+    trial = simulate_trial("sit_to_stand", device, rng=rng)
     calibration = true_calibration(device)
-    done = correct_checked(made.record, calibration, offset="rest")
-    judged = validate_trial(made.record, made.reference, calibration=calibration, settings=TrialSettings(offset="rest"))
-    oriented = orient(correct(made.record, calibration), settings=OrientSettings(offset="rest"))
-    time = np.asarray(made.record.time)
+    done = correct_checked(trial.record, calibration, offset="rest")
+    judged = validate_trial(
+        trial.record, trial.reference, calibration=calibration, settings=TrialSettings(offset="rest")
+    )
+    oriented = orient(correct(trial.record, calibration), settings=OrientSettings(offset="rest"))
+    time = np.asarray(trial.record.time)
     assert done.rest.rest_s == judged.rest.rest_s
     assert done.rest.rest_s == (time[oriented.still.start], time[oriented.still.stop - 1])
     np.testing.assert_allclose(judged.rest.rate, done.rest.rate, rtol=0.0, atol=1e-12)
     np.testing.assert_allclose(oriented.offset, done.rest.mean, rtol=0.0, atol=1e-12)
 
 
-def test_rows_that_fill_a_file_up_are_named_and_are_no_rest_on_any_route():
+def test_padded_rows_are_no_rest_on_any_route():
     record, _ = worn()
     order = np.r_[np.full(500, 3020), np.arange(3020, 4000), np.arange(2000), np.full(300, 1999)]
     held = {name: np.asarray(getattr(record, name))[order] for name in ("gyro", "accel", "temp_c")}
     padded = Record(time=np.arange(len(order)) / FS, **held)
     first, last = 500 + 980, 500 + 980 + 2000  # of the true rest
     done = correct_checked(padded, CALIBRATION, offset="rest")
-    assert "recording.padded" in [one.code for one in done.findings]
+    assert "recording.padded" in [item.code for item in done.findings]
     assert padded.time[first] <= done.rest.rest_s[0] < done.rest.rest_s[1] < padded.time[last]
     np.testing.assert_allclose(done.rest.mean, LEFT, atol=2e-4)
     plain = correct(padded, CALIBRATION, check=False)
     parts = (plain.part(a, min(a + 777, len(plain))) for a in range(0, len(plain), 777))
     assert find_rest_offset(joined([*parts])).rest_s == done.rest.rest_s
-    found = orient(plain, settings=OrientSettings(offset="rest"))
-    assert "recording.padded" in [one.code for one in found.findings]
-    assert (found.time[0], found.time[-1]) == (padded.time[500], padded.time[last - 1])
-    assert found.time[found.still.start] == done.rest.rest_s[0]
-    np.testing.assert_allclose(found.offset, done.rest.mean, atol=1e-12)
+    orientation = orient(plain, settings=OrientSettings(offset="rest"))
+    assert "recording.padded" in [item.code for item in orientation.findings]
+    assert (orientation.time[0], orientation.time[-1]) == (padded.time[500], padded.time[last - 1])
+    assert orientation.time[orientation.still.start] == done.rest.rest_s[0]
+    np.testing.assert_allclose(orientation.offset, done.rest.mean, atol=1e-12)
     still = Still(start=first + 100, stop=last - 100)
-    named = orient(plain, still, OrientSettings(offset="rest"))
-    assert named.time[named.still.start] == padded.time[first + 100]
+    finding = orient(plain, still, OrientSettings(offset="rest"))
+    assert finding.time[finding.still.start] == padded.time[first + 100]
+
+
+def with_a_gap(record):
+    return replace(record, gyro=np.where(np.arange(len(record))[:, None] == 300, np.nan, record.gyro))
+
+
+@pytest.mark.parametrize(
+    ("change", "still", "words"),
+    [
+        (lambda record: record, Still(start=200, stop=205), "got 5 samples"),
+        (with_a_gap, Still(start=200, stop=600), "got 1 gaps"),
+    ],
+)
+def test_stated_rest_is_refused_if_it_is_short_or_has_gaps(change, still, words):
+    record, _ = worn(5)
+    assert rest_offset(record, Still(start=200, stop=600)).rest_s == (2.0, 5.99)
+    with pytest.raises(InputError, match=words):
+        rest_offset(change(record), still)
+
+
+def shaken():
+    rng = np.random.default_rng(6)
+    return Record(time=np.arange(3000) / FS, gyro=rng.normal(size=(3000, 3)), accel=9.8 + rng.normal(size=(3000, 3)))
+
+
+@pytest.mark.parametrize(
+    ("record", "words"),
+    [(shaken(), "no still phase"), (Record(time=np.arange(300) / FS, accel=np.tile([0.0, 0.0, 9.8], (300, 1))), "Omit `offset`")],
+)  # fmt: skip
+def test_recording_without_a_rest_is_refused(record, words):
+    with pytest.raises(InputError, match=words):
+        correct(record, CALIBRATION, offset="rest")

@@ -14,6 +14,7 @@ from testkit.data import show
 from testkit.rate_steps import GRID, computed
 from undrift.drift.fit import fit_drift
 from undrift.drift.observe import (
+    check_once,
     in_units_of,
     nominal_models,
     observe_rests,
@@ -23,7 +24,7 @@ from undrift.drift.rates import prepared
 from undrift.errors import InputError, NotObservable
 from undrift.io.session import write_session
 from undrift.model import AdcModel, StaticDrift
-from undrift.record import Record, Session, SetPointMeans, Still
+from undrift.record import Record, Session, SetPointMeans, Still, Turn
 from undrift.sim.device.presets import preset, random_device
 from undrift.sim.device.truth import true_calibration
 
@@ -38,7 +39,7 @@ def steps_of(steps, static=None):
     return prepared(steps, true_calibration(DEVICE).gyro, static=static)
 
 
-def test_each_axis_of_each_soak_is_a_mounting_and_both_signs_belong_to_it():
+def test_each_axis_of_each_soak_is_a_mounting():
     steps = steps_of(made())
     assert len(np.unique(steps.mounting)) == 6
     for m in range(6):
@@ -67,7 +68,7 @@ def test_dwells_at_rest_are_no_steps():
     assert len(steps_of(replace(given, rate_b=rate))) == len(given) - 4
 
 
-def test_the_offset_is_linear_between_nodes_held_beyond_and_constant_without_a_table():
+def test_offset_is_linear_between_nodes_and_constant_beyond():
     calibration = true_calibration(DEVICE)
     table = StaticDrift(temp_c=[20.0, 30.0], gyro_offset=[[0.0, 1.0, 2.0], [10.0, 1.0, 0.0]])
     three = replace(made().taken(slice(0, 3)), temp_c=np.array([10.0, 25.0, 40.0]))
@@ -104,7 +105,7 @@ def ages(*records):
     return blocks.power_on_s
 
 
-def test_a_clock_that_runs_on_is_one_switch_on_and_one_that_begins_anew_is_another():
+def test_clock_that_begins_anew_is_another_switch_on():
     assert (np.diff(ages(record(), record(begin_s=300.0))) > 0.0).all()
     since = ages(record(), record(begin_s=300.0), record(begin_s=0.0), record(begin_s=100.0))
     late = since.reshape(4, -1)
@@ -113,7 +114,7 @@ def test_a_clock_that_runs_on_is_one_switch_on_and_one_that_begins_anew_is_anoth
     np.testing.assert_allclose(late[1], late[0] + 300.0)
 
 
-def test_readings_come_in_the_units_of_the_calibration_with_their_half_steps():
+def test_readings_come_in_the_units_of_the_calibration():
     physical = replace(COUNTS, gyro=replace(COUNTS.gyro, unit_in="rad/s"))
     ready = in_units_of(session(record(gyro_unit="dps")), physical).records[0]
     assert ready.gyro_unit == "rad/s"
@@ -125,7 +126,7 @@ def test_readings_come_in_the_units_of_the_calibration_with_their_half_steps():
 
 
 def test_another_unit_and_a_corrected_record_are_refused():
-    with pytest.raises(InputError, match="readings are in dps"):
+    with pytest.raises(InputError, match="are in dps"):
         in_units_of(session(record(gyro_unit="dps")), COUNTS)
     corrected = record(gyro_unit="rad/s", accel_unit="m/s2", state="corrected")
     with pytest.raises(InputError, match="recording 1 is corrected"):
@@ -179,13 +180,13 @@ def session_of(*, seed=1, spread=True, rates=()):
 
 
 @pytest.mark.slow
-def test_offsets_over_temperature_are_those_of_the_device_within_what_is_stated():
+def test_offsets_over_temperature_lie_within_their_intervals():
     inside, worst = [], 0.0
     nodes = np.arange(20.0, 70.5, 0.5)
     for seed in range(8):
-        found = fit_drift([session_of(seed=seed)]).calibration.drift.static
-        at = [np.interp(nodes, found.temp_c, column) for column in found.gyro_offset.T]
-        doubt = [np.interp(nodes, found.temp_c, column) for column in found.gyro_uncertainty.T]
+        static = fit_drift([session_of(seed=seed)]).calibration.drift.static
+        at = [np.interp(nodes, static.temp_c, column) for column in static.gyro_offset.T]
+        doubt = [np.interp(nodes, static.temp_c, column) for column in static.gyro_uncertainty.T]
         error = np.stack(at, axis=1) - truth(nodes)
         inside.append((np.abs(error) <= 1.96 * np.stack(doubt, axis=1)).mean())
         worst = max(worst, float(np.abs(error).max()))
@@ -219,14 +220,14 @@ def test_means_without_uncertainty_are_fitted_by_their_scatter():
     assert 0.5 < ratio < 1.8
 
 
-def test_a_table_of_means_is_not_warned_of_lag_or_of_a_missing_thermometer():
+def test_table_of_means_has_no_finding_of_lag():
     codes = {item.code: item.level for item in fit_drift([session_of()]).verdict.findings}
     assert "drift.set_points_only" not in codes
     assert not any("lag" in item for item in codes)
 
 
 def test_a_session_of_means_is_not_written(tmp_path):
-    with pytest.raises(InputError, match="got means of set-points"):
+    with pytest.raises(InputError, match="means of set-points"):
         write_session(session_of(), tmp_path / "out")
 
 
@@ -253,3 +254,129 @@ def test_rates_that_determine_no_surface_are_a_finding():
     temp_c, rate = np.array([30.0, 30.0, 30.0, 20.0, 30.0]), np.array([0.0, 100.0, -100.0, 0.0, 100.0])
     fit = fit_drift([at_rest(temp_c, truth(temp_c) + rng.normal(0.0, 0.005, (5, 3)), rate)])
     assert "drift.not_observable" in {item.code for item in fit.verdict.findings}
+
+
+# ---- data given twice are refused; recordings cut from one switch-on are one session
+
+
+def noise_record(*, seed=0, begin_s=0.0, n=500):
+    rng = np.random.default_rng(seed)
+    return Record(
+        time=begin_s + np.arange(n) / 50.0,
+        gyro=rng.normal(size=(n, 3)),
+        accel=rng.normal(size=(n, 3)),
+        temp_c=np.linspace(20.0, 30.0, n),
+    )
+
+
+def recorded(made, name="log.csv", digest=None, serial=""):
+    inputs = () if digest is None else ((name, digest),)
+    return Session(kind="thermal", serial=serial, gravity_m_s2=9.80665, records=(made,), inputs=inputs)
+
+
+def test_equal_readings_are_refused_however_the_clock_was_set():
+    later = replace(noise_record(), time=noise_record().time + 1000.0)
+    with pytest.raises(InputError, match="the same data"):
+        check_once([recorded(noise_record()), recorded(later, "b.csv", "1" * 64)])
+
+
+def test_a_sensor_that_repeats_one_value_is_not_taken_for_a_copy():
+    stuck = [replace(noise_record(seed=k), gyro=np.zeros((500, 3)), accel=np.ones((500, 3))) for k in range(2)]
+    check_once([recorded(result) for result in stuck])
+    gap = np.where(np.arange(500)[:, None] < 400, np.nan, noise_record().gyro)
+    check_once(
+        [recorded(replace(noise_record(seed=k), gyro=gap)) for k in range(2)]
+    )  # gaps are equal, accelerations are not
+
+
+# ---- thermal sessions gathered into blocks of rest and dwells
+
+RATE = 20.0
+
+
+def log(seconds=300.0, *, seed=0, moving=False):
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, seconds, 1.0 / RATE) + 5.0
+    gyro = rng.normal(size=(len(time), 3)) * 0.1 + [1.0, -2.0, 0.5]
+    accel = rng.normal(size=(len(time), 3)) * 0.01 + [0.0, 0.0, 9.8]
+    if moving:
+        gyro += 40.0 * np.sin(2.0 * time)[:, None]
+        accel += 5.0 * np.sin(3.0 * time)[:, None]
+    return Record(time=time, gyro=gyro, accel=accel, temp_c=20.0 + time / 60.0, gyro_unit="dps")
+
+
+def thermal(*records, **pieces):
+    return Session(kind="thermal", serial="A", gravity_m_s2=9.81, records=records, **pieces)
+
+
+def rests(made):
+    return observe_rests([made], temperatures=[[r.temp_c for r in made.records]])
+
+
+def test_a_log_that_never_moves_is_one_rest_of_ten_second_blocks():
+    blocks = rests(thermal(log()))
+    assert len(blocks) == 30
+    assert set(blocks.pose) == {0}
+    np.testing.assert_allclose(np.diff(blocks.time), 10.0, atol=0.1)
+    np.testing.assert_allclose(blocks.ramp_c_per_min, 1.0, atol=1e-6)
+    np.testing.assert_allclose(blocks.gyro, np.tile([1.0, -2.0, 0.5], (30, 1)), atol=5 * 0.1 / 200**0.5)
+    np.testing.assert_allclose(
+        np.sqrt(blocks.gyro_variance), 0.1 / 200**0.5, rtol=0.15
+    )  # 300 differences of half seconds
+
+
+def test_torn_lines_spikes_and_gaps_do_not_reach_the_means():
+    clean = log()
+    gyro = clean.gyro.copy()
+    gyro[50::333] = 4000.0
+    gyro[1000:1050] = np.nan
+    dirty = Record(time=clean.time, gyro=gyro, accel=clean.accel, temp_c=clean.temp_c, gyro_unit="dps")
+    blocks = rests(thermal(dirty))
+    assert len(blocks) > 15
+    off = np.abs(blocks.gyro - [1.0, -2.0, 0.5]) / np.sqrt(blocks.gyro_variance)
+    assert off.max() < 5.0
+    np.testing.assert_allclose(blocks.temp_c, 20.0 + (blocks.time + 5.0) / 60.0, atol=0.01)
+
+
+def test_stated_stills_serve_in_blocks():
+    stills = (
+        Still(start=0, stop=160, face="+z"),
+        Still(start=1000, stop=2000, face="-z"),
+        Still(start=3000, stop=3160, face="+z"),
+    )
+    blocks = rests(thermal(log(), stills=stills))
+    assert [int((blocks.pose == p).sum()) for p in (0, 1)] == [2, 5]
+    assert blocks.power_on_s[0] == pytest.approx(4.0, abs=0.05)
+
+
+def test_recordings_follow_each_other_on_one_clock():
+    one = thermal(log(60.0), log(60.0, seed=1))
+    temps = [[r.temp_c for r in one.records]] * 2
+    blocks = observe_rests([one, one], temperatures=temps)
+    assert list(np.unique(blocks.session)) == [0, 1]
+    assert len(np.unique(blocks.pose)) == 4
+    assert (np.diff(blocks.time[blocks.session == 0]) > 0.0).all()
+
+
+def test_no_rest_and_no_temperature_are_refused():
+    with pytest.raises(NotObservable, match="no stretch"):
+        rests(thermal(log(moving=True)))
+    thermal_session = thermal(log())
+    with pytest.raises(NotObservable, match="with a known temperature"):
+        observe_rests([thermal_session], temperatures=[[np.full(len(thermal_session.records[0]), np.nan)]])
+
+
+def test_dwells_are_numbered_by_soak_and_carry_the_imposed_rate():
+    turns = tuple(
+        Turn(start=k * 400, stop=k * 400 + 300, axis=axis, turn_rate=rate)
+        for k, (axis, rate) in enumerate((("x", 0.5), ("x", -0.5), ("y", 1.0), ("z", 1.0)))
+    )
+    thermal_session = thermal(log(), turns=turns)
+    temp = np.where(np.arange(6000) < 800, 20.0, 30.0)
+    steps = observe_steps([thermal_session], temperatures=[[temp]])
+    np.testing.assert_array_equal(steps.soak, [0, 0, 1, 1])
+    np.testing.assert_array_equal(steps.rate_b, [[0.5, 0, 0], [-0.5, 0, 0], [0, 1.0, 0], [0, 0, 1.0]])
+    np.testing.assert_allclose(steps.temp_c, [20.0, 20.0, 30.0, 30.0])
+    with pytest.raises(InputError, match="has no temperature"):
+        observe_steps([thermal_session], temperatures=[[np.full(6000, np.nan)]])
+    assert len(observe_steps([thermal(log())], temperatures=[[temp]])) == 0

@@ -18,8 +18,8 @@ FEW = GRID[::4]
 
 def device(seed=0, **changes):
     """A device whose rates are straight lines."""
-    made = random_device(np.random.default_rng(seed), grade="enc03j_3031")
-    return replace(made, gyro=replace(made.gyro, nonlinearity=None, rate_drift=None, **changes))
+    model = random_device(np.random.default_rng(seed), grade="enc03j_3031")
+    return replace(model, gyro=replace(model.gyro, nonlinearity=None, rate_drift=None, **changes))
 
 
 def fitted(made, temps=SOAKS, noise_dps=1e-6, steps=None, **kept):
@@ -33,7 +33,7 @@ def fitted(made, temps=SOAKS, noise_dps=1e-6, steps=None, **kept):
     return fit_scale(made_ready, true_calibration(made).gyro, temp_c=NODES), truth
 
 
-def test_the_matrix_of_a_device_without_noise_comes_back_at_every_node():
+def test_matrix_without_noise_comes_back_at_every_node():
     fit, truth = fitted(device())
     # A smoothing spline leans toward straight lines by far less than the bend of 1 / (1 + k D): 1e-6 of the scale.
     assert (
@@ -47,17 +47,17 @@ def test_the_matrix_of_a_device_without_noise_comes_back_at_every_node():
     assert fit.verdict.status == "good"
 
 
-def test_an_offset_that_the_table_does_not_know_leaves_the_matrix_alone():
-    made = device()
-    steps = computed(made, SOAKS, np.random.default_rng(1), rates=FEW, noise_dps=1e-6)
-    plain, _ = fitted(made, steps=steps)
-    shifted, _ = fitted(made, steps=replace(steps, gyro=steps.gyro + 7.0))
+def test_unknown_offset_leaves_the_matrix_alone():
+    model = device()
+    steps = computed(model, SOAKS, np.random.default_rng(1), rates=FEW, noise_dps=1e-6)
+    plain, _ = fitted(model, steps=steps)
+    shifted, _ = fitted(model, steps=replace(steps, gyro=steps.gyro + 7.0))
     assert np.allclose(plain.drift.gyro_matrix, shifted.drift.gyro_matrix, rtol=1e-9, atol=1e-12)
 
 
-def test_an_axis_that_was_never_turned_keeps_its_column_without_uncertainty():
-    made = device()
-    fit, truth = fitted(made, axes=(0, 2))
+def test_axis_without_a_turn_keeps_its_column():
+    model = device()
+    fit, truth = fitted(model, axes=(0, 2))
     assert np.isnan(fit.drift.gyro_uncertainty[:, :, 1]).all()
     assert np.isfinite(fit.drift.gyro_uncertainty[:, :, [0, 2]]).all()
     scale = truth.scale.gyro_matrix[:, 0, 0]
@@ -84,16 +84,16 @@ def test_two_soaks_are_less_certain_between_them():
 
 
 def test_one_soak_shows_nothing_over_temperature():
-    with pytest.raises(NotObservable, match="two soaks or more, got 1"):
+    with pytest.raises(NotObservable, match="got 1"):
         fitted(device(), temps=np.array([25.0]))
 
 
 def test_rows_with_gaps_are_left_out_and_counted():
-    made = device()
-    steps = computed(made, SOAKS, np.random.default_rng(1), rates=FEW, noise_dps=1e-6)
+    model = device()
+    steps = computed(model, SOAKS, np.random.default_rng(1), rates=FEW, noise_dps=1e-6)
     gyro = steps.gyro.copy()
     gyro[[3, 80], 1] = np.nan
-    plain, truth = fitted(made, steps=replace(steps, gyro=gyro))
+    plain, truth = fitted(model, steps=replace(steps, gyro=gyro))
     assert any("2 of 390" in reason for reason in plain.verdict.reasons)
     assert (
         np.abs(plain.drift.gyro_matrix - truth.scale.gyro_matrix).max() < 1e-5 * np.abs(truth.scale.gyro_matrix).max()
@@ -109,45 +109,45 @@ def test_nothing_but_gaps_is_refused():
 def test_turns_about_one_oblique_axis_are_left_out():
     steps = computed(device(), SOAKS, np.random.default_rng(1), rates=FEW, axes=(0,))
     oblique = replace(steps, rate_b=steps.rate_b[:, [0]] * np.array([0.8, 0.6, 0.0]))
-    with pytest.raises(NotObservable, match="two rates in a soak"):
+    with pytest.raises(NotObservable, match="two rates"):
         fitted(device(), steps=oblique)
 
 
 def test_variances_that_are_not_known_do_not_stop_the_fit():
-    made = device()
-    steps = computed(made, SOAKS, np.random.default_rng(1), rates=FEW, noise_dps=0.01)
-    fit, _ = fitted(made, steps=replace(steps, gyro_variance=np.full_like(steps.gyro_variance, np.nan)))
+    model = device()
+    steps = computed(model, SOAKS, np.random.default_rng(1), rates=FEW, noise_dps=0.01)
+    fit, _ = fitted(model, steps=replace(steps, gyro_variance=np.full_like(steps.gyro_variance, np.nan)))
     # The scatter about the lines gives the noise: 0.01 deg/s over a grid of 10 rates and 53 deg/s rms.
     relative = fit.drift.gyro_uncertainty[:, 0, 0] / fit.drift.gyro_matrix[:, 0, 0]
     assert 0.2 < np.median(relative) / (0.01 / 53.0 / np.sqrt(10.0)) < 2.0
 
 
-def test_no_offset_table_is_no_obstacle_where_rates_are_both_ways():
-    made = device()
-    steps = computed(made, SOAKS, np.random.default_rng(1), rates=FEW, noise_dps=1e-6)
+def test_rates_both_ways_need_no_offset_table():
+    model = device()
+    steps = computed(model, SOAKS, np.random.default_rng(1), rates=FEW, noise_dps=1e-6)
     fit = fit_scale(
-        prepared(steps, true_calibration(made).gyro, static=None), true_calibration(made).gyro, temp_c=NODES
+        prepared(steps, true_calibration(model).gyro, static=None), true_calibration(model).gyro, temp_c=NODES
     )
-    truth = true_tables(made, NODES, np.radians([-90.0, 90.0]))
+    truth = true_tables(model, NODES, np.radians([-90.0, 90.0]))
     assert np.abs(fit.drift.gyro_matrix - truth.scale.gyro_matrix).max() < 1e-5 * np.abs(truth.scale.gyro_matrix).max()
 
 
 def test_soaks_given_in_any_order_come_back_by_temperature():
-    made = device()
-    steps = computed(made, SOAKS[::-1], np.random.default_rng(1), rates=FEW, noise_dps=1e-6)
-    soaks = soak_matrices(prepared(steps, true_calibration(made).gyro, static=None), true_calibration(made).gyro)
+    model = device()
+    steps = computed(model, SOAKS[::-1], np.random.default_rng(1), rates=FEW, noise_dps=1e-6)
+    soaks = soak_matrices(prepared(steps, true_calibration(model).gyro, static=None), true_calibration(model).gyro)
     assert (np.diff(soaks.temp_c) > 0.0).all()
-    lone = reading(made.gyro, np.eye(3)[:1], np.array([soaks.temp_c[0] - 25.0])) - reading(
-        made.gyro, np.zeros((1, 3)), np.array([soaks.temp_c[0] - 25.0])
+    lone = reading(model.gyro, np.eye(3)[:1], np.array([soaks.temp_c[0] - 25.0])) - reading(
+        model.gyro, np.zeros((1, 3)), np.array([soaks.temp_c[0] - 25.0])
     )
     assert np.allclose(soaks.forward[0][:, 0], lone[0], rtol=1e-5, atol=1e-3)
 
 
 def test_the_offset_table_is_held_at_its_ends():
-    made = device()
-    steps = computed(made, SOAKS, np.random.default_rng(1), rates=FEW, noise_dps=1e-6)
+    model = device()
+    steps = computed(model, SOAKS, np.random.default_rng(1), rates=FEW, noise_dps=1e-6)
     table = StaticDrift(temp_c=[30.0, 40.0], gyro_offset=np.zeros((2, 3)))
     fit = fit_scale(
-        prepared(steps, true_calibration(made).gyro, static=table), true_calibration(made).gyro, temp_c=NODES
+        prepared(steps, true_calibration(model).gyro, static=table), true_calibration(model).gyro, temp_c=NODES
     )
     assert np.isfinite(fit.drift.gyro_matrix).all()

@@ -69,13 +69,13 @@ def test_rate_zero_has_no_error_and_no_uncertainty():
     assert np.abs(surface.uncertainty(np.zeros(5), np.linspace(20.0, 70.0, 5))).max() < 1e-9
 
 
-def test_what_a_mounting_was_left_with_is_told_apart_from_the_rate():
+def test_mounting_offset_is_told_apart_from_the_rate():
     plain, shifted = fitted(points()), fitted(points(offset=0.01))
     w, t = np.tile(RATES, 6), np.repeat(TEMPS, 16)
     assert np.abs(plain.at(w, t) - shifted.at(w, t)).max() < 1e-6
 
 
-def test_a_bend_over_temperature_is_found_only_where_there_is_one():
+def test_bend_over_temperature_is_found_only_if_present():
     straight = fitted(points(noise=1e-3))
     given = points(noise=1e-4)
     wave = replace(given, value=given.value + 0.01 * given.turn_rate * np.sin(given.temp_c / 8.0))

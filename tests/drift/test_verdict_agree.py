@@ -44,23 +44,21 @@ def shifted(dps, calibration=CALIBRATION):
 
 
 def warmed(seed, dps):
-    made = simulate_thermal_session("warm_up", DEVICE, rng=np.random.default_rng(seed), settings=SETTINGS)
+    result = simulate_thermal_session("warm_up", DEVICE, rng=np.random.default_rng(seed), settings=SETTINGS)
     gain = CALIBRATION.gyro.forward_matrix @ np.radians(dps)
-    return replace(made, records=tuple(replace(r, gyro=r.gyro + gain) for r in made.records))
+    return replace(result, records=tuple(replace(r, gyro=r.gyro + gain) for r in result.records))
 
 
-def test_turns_the_other_way_round_or_about_other_axes_are_refused(session):
+def test_turns_about_wrong_axes_are_refused(session):
     negated = turned(session, lambda t: replace(t, turn_rate=-t.turn_rate))
-    with pytest.raises(Implausible, match=r"scale ratios -1.* axes -x, -y, -z: columns x, y and z are reversed"):
+    with pytest.raises(Implausible, match="axes -x, -y, -z"):
         fit_drift([negated], CALIBRATION, settings=TABLES)
     ring = turned(session, lambda t: replace(t, axis={"x": "y", "y": "z", "z": "x"}[t.axis]))
-    with pytest.raises(
-        Implausible, match=r"against the calibration .* axes \+y, \+z, \+x: columns .* exchanged in a ring"
-    ):
+    with pytest.raises(Implausible, match=r"axes \+y, \+z, \+x"):
         fit_drift([ring], CALIBRATION, settings=TABLES)
 
 
-def test_a_scale_that_the_calibration_does_not_have_is_reported_with_its_figure(session):
+def test_other_scale_than_the_calibration_is_reported(session):
     fit = fit_drift([session], CALIBRATION, settings=TABLES)
     assert not any("differ" in item.code for item in fit.verdict.findings)
     for share, status, figure in ((0.9, "bad", "10."), (0.97, "marginal", "2.")):
@@ -73,7 +71,7 @@ def test_a_scale_that_the_calibration_does_not_have_is_reported_with_its_figure(
 
 
 @pytest.mark.slow
-def test_an_offset_that_is_not_the_calibration_s_is_reported_in_deg_per_s():
+def test_other_offset_than_the_calibration_is_reported():
     session = warmed(4, (0.0, 0.0, 0.0))
     assert not any(
         item.code.startswith("drift.offset_")
@@ -91,7 +89,7 @@ def test_an_offset_that_is_not_the_calibration_s_is_reported_in_deg_per_s():
     ("scale", "offset_g", "status"),
     [(1.0, 0.0, ""), (1.01, 0.0, ""), (1.06, 0.0, "warn"), (1.5, 0.0, "fail"), (1.0, 0.08, "warn")],
 )
-def test_accelerometers_at_rest_that_contradict_the_calibration_are_reported(session, scale, offset_g, status):
+def test_accelerometers_that_contradict_are_reported(session, scale, offset_g, status):
     accel = CALIBRATION.accel
     other = replace(
         accel, matrix=accel.matrix * scale, offset=accel.offset + accel.forward_matrix @ np.full(3, 9.81 * offset_g)
@@ -119,7 +117,7 @@ def with_table_uncertainty(static, dps):
         (1.0, 3.0, "good", ""),
     ],
 )
-def test_an_offset_differs_from_three_standard_uncertainties_and_below_that_is_unclear(off, known_to, status, code):
+def test_offset_differs_from_three_standard_uncertainties(off, known_to, status, code):
     static = fit_drift([warmed(4, (0.0, 0.0, 0.0))], CALIBRATION, settings=TABLES).static
     verdict = offsets_verdict(with_table_uncertainty(static, known_to), shifted((off, 0.0, 0.0)))
     assert verdict.status == status

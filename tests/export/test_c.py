@@ -95,7 +95,7 @@ def test_extreme_inputs_do_nothing_undefined(kind, arithmetic, tmp_path):
     assert ((status >= 0) & (status <= 3)).all()
 
 
-def test_the_output_may_be_the_input_and_two_devices_fit_into_one_program(tmp_path):
+def test_output_may_be_the_input(tmp_path):
     one, two = export_c(device()), export_c(device(g=False), ExportOptions(prefix="other"), header_name="other.h")
     write(one, tmp_path)
     (tmp_path / "other.h").write_text(two.header)
@@ -157,16 +157,16 @@ def test_what_is_not_carried_is_listed():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("arithmetic", ["float", "double"])
-def test_a_triad_without_a_model_is_nominal_in_the_unit_that_is_named_as_it_is_in_python(arithmetic, tmp_path):
+def test_triad_without_a_model_is_nominal_as_in_python(arithmetic, tmp_path):
     for name, unit in (("accel", "g"), ("accel", None), ("gyro", "dps")):
-        made = device(**{name: None})
-        exported = export_c(made, ExportOptions(**({} if unit is None else {f"{name}_unit": unit})))
+        model = device(**{name: None})
+        exported = export_c(model, ExportOptions(**({} if unit is None else {f"{name}_unit": unit})))
         run = build(exported, tmp_path, arithmetic)
         r = record(300, **{f"{name}_unit": {"g": "g", "dps": "deg/s", None: "m/s2"}[unit]})
         r = replace(r, **{name: getattr(r, name) * 0.003, "temp_c": np.full(300, 25.0)})  # 3 g rms
         inputs = run.inputs(r.gyro, r.accel, r.temp_c)
         gyro, accel, _ = run.real(inputs)
-        python = correct_checked(replace(r, gyro=gyro, accel=accel), made, policy="hold").record
+        python = correct_checked(replace(r, gyro=gyro, accel=accel), model, policy="hold").record
         w, a, status = run(inputs)
         assert not status.any()
         share = {"float": 1e-6, "double": 1e-13}[arithmetic]  # of the largest

@@ -77,7 +77,7 @@ def test_wild_readings_and_steps_do_nothing_undefined(arithmetic, tmp_path):
     assert (done.returncode, done.stderr) == (0, b"")
 
 
-def test_without_a_lag_there_is_no_lead_and_a_smoothing_that_does_not_fit_is_refused():
+def test_smoothing_that_does_not_fit_is_refused():
     assert "undrift_temperature" not in export_c(device(drift=tables())).header
     assert "undrift_temperature(undrift_lag_t *lag" in export_c(lagging()).header
     with pytest.raises(InputError, match=r"0.001 to 100000 s .* 84 s .*over 1e-05 s"):

@@ -51,11 +51,11 @@ def test_fields_are_those_of_the_corrector(arithmetic, limit, tmp_path):
     np.testing.assert_allclose(got, done.mag_ut, rtol=0.0, atol=limit)
 
 
-def test_the_header_has_the_function_and_other_exports_name_what_they_leave_out():
-    made = export_c(with_magnetometer(device(drift=None)))
-    assert "undrift_magnetometer(const undrift_t mag_raw[3]" in made.header
-    assert any("undrift_magnetometer" in note for note in made.notes)
-    assert not any("magnetometer" in text for text in made.not_carried)
+def test_header_has_the_function_of_the_magnetometer():
+    export = export_c(with_magnetometer(device(drift=None)))
+    assert "undrift_magnetometer(const undrift_t mag_raw[3]" in export.header
+    assert any("undrift_magnetometer" in note for note in export.notes)
+    assert not any("magnetometer" in text for text in export.not_carried)
     assert "magnetometer" not in export_c(device(drift=None)).source
-    named = losses(with_magnetometer(device(drift=None)), CARRIED_CONSTANTS)
-    assert any("soft iron" in text for text in named)
+    finding = losses(with_magnetometer(device(drift=None)), CARRIED_CONSTANTS)
+    assert any("soft iron" in text for text in finding)

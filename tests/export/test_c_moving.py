@@ -33,8 +33,8 @@ int main(void)
 
 
 def moving(drift):
-    made = device(drift=drift, g=False)
-    return replace(made, gyro=replace(made.gyro, moving_offset=MOVING))
+    model = device(drift=drift, g=False)
+    return replace(model, gyro=replace(model.gyro, moving_offset=MOVING))
 
 
 def turns_and_rests(calibration):

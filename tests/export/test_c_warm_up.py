@@ -95,7 +95,7 @@ def test_the_warm_up_comes_off_as_correct_takes_it_off(nodes, arithmetic, tmp_pa
 @pytest.mark.slow
 @pytest.mark.parametrize("arithmetic", ["float"])
 @pytest.mark.parametrize("nodes", NODES)
-def test_wild_times_do_nothing_undefined_and_take_off_the_first_node_or_nothing(nodes, arithmetic, tmp_path):
+def test_wild_times_do_nothing_undefined(nodes, arithmetic, tmp_path):
     exported = export_c(warming(nodes))
     wild = [-np.inf, -1e30, -0.0, np.inf, np.nan, 1e30]
     r = record(len(wild), low=25.0, high=25.0)
@@ -110,7 +110,7 @@ def test_wild_times_do_nothing_undefined_and_take_off_the_first_node_or_nothing(
     np.testing.assert_array_equal(out[before:, :3], out[before:, 6:9])
 
 
-def test_a_warm_up_without_offsets_over_temperature_is_carried_too(tmp_path):
+def test_warm_up_without_offsets_is_carried_too(tmp_path):
     static = StaticDrift(
         temp_c=[18.0, 75.0], accel_offset=np.zeros((2, 3)), warm_up=WarmUp(power_on_s=NODES["even"], gyro_offset=EXTRA)
     )

@@ -26,8 +26,8 @@ def corrected_at_40(made):
 
 
 def test_json_constants_correct_as_the_corrector_does():
-    made = device(drift=tables(scale=STEPS[::2]))
-    exported = write_constants(made, ExportOptions(temp_c=40.0), "a.json")
+    model = device(drift=tables(scale=STEPS[::2]))
+    exported = write_constants(model, ExportOptions(temp_c=40.0), "a.json")
     content = json.loads(exported.text)
     assert (content["kind"], content["format"], content["device"], content["temp_c"]) == (
         "undrift.constants",
@@ -37,7 +37,7 @@ def test_json_constants_correct_as_the_corrector_does():
     )
     gyro, accel = content["gyro"], content["accel"]
     assert (gyro["unit_in"], gyro["unit_out"], accel["unit_out"]) == ("count", "rad/s", "m/s2")
-    w, a = corrected_at_40(made)
+    w, a = corrected_at_40(model)
     force = np.array(accel["matrix"]) @ (U - accel["offset"])
     np.testing.assert_allclose(force, a, rtol=1e-12)
     rate = np.array(gyro["matrix"]) @ (U - gyro["offset"]) - np.array(gyro["g_sensitivity"]) @ force
@@ -50,9 +50,9 @@ def test_json_constants_correct_as_the_corrector_does():
 
 
 def test_c_header_holds_the_same_numbers(tmp_path):
-    made = device(drift=tables(), device="A*/ x")
+    model = device(drift=tables(), device="A*/ x")
     options = ExportOptions(temp_c=40.0, prefix="foot")
-    header = write_constants(made, options, "a.h").text
+    header = write_constants(model, options, "a.h").text
     (tmp_path / "a.h").write_text(header)
     (tmp_path / "main.c").write_text(
         '#include <stdio.h>\n#include "a.h"\nint main(void)\n{\n    const float *m = &foot_gyro_matrix[0][0];\n    int k;\n'
@@ -63,7 +63,7 @@ def test_c_header_holds_the_same_numbers(tmp_path):
     )
     subprocess.run(["gcc", *STRICT, tmp_path / "main.c", "-o", tmp_path / "run"], check=True)
     got = subprocess.run([tmp_path / "run"], capture_output=True, text=True, check=True).stdout.split()
-    content = json.loads(write_constants(made, options, "a.json").text)
+    content = json.loads(write_constants(model, options, "a.json").text)
     wanted = [*np.ravel(content["gyro"]["matrix"]), content["gyro"]["offset"][2]]
     wanted += [content["accel"]["matrix"][2][1], content["accel"]["offset"][0]]
     np.testing.assert_allclose(np.array(got, float), wanted, rtol=1e-6)

@@ -63,7 +63,7 @@ def test_noise_as_stated_has_no_excess():
 
 def test_two_kinds_are_told_apart_by_their_shapes():
     rng = np.random.default_rng(3)
-    count, found = 120, []
+    count, results = 120, []
     design = line(count)
     growing = np.diag(np.linspace(0.0, 2.0, count) ** 2)
     for _ in range(60):
@@ -71,9 +71,9 @@ def test_two_kinds_are_told_apart_by_their_shapes():
         fit = solve(
             design, error, {"noise": 1e-12 * np.eye(count)}, excess={"white": np.eye(count), "growing": growing}
         )
-        found.append([fit.excess["white"], fit.excess["growing"]])
+        results.append([fit.excess["white"], fit.excess["growing"]])
     # the mean of 60 estimates of a variance from about 100 residuals: 2 % and, for the smaller, 8 %
-    np.testing.assert_allclose(np.mean(found, axis=0), [0.04, 0.25], rtol=0.25)
+    np.testing.assert_allclose(np.mean(results, axis=0), [0.04, 0.25], rtol=0.25)
 
 
 @pytest.mark.parametrize("size", [0.0, 0.3, 3.0])
@@ -119,7 +119,7 @@ def test_columns_of_very_different_units_are_solved():
     np.testing.assert_allclose(fit.theta, [3.0, 2.0], rtol=1e-9)
 
 
-def test_the_noise_of_a_mean_counts_blocks_less_what_was_removed_from_each_window():
+def test_noise_of_a_mean_counts_blocks_minus_removed():
     rng = np.random.default_rng(15)
     windows = [rng.standard_normal((n, 3)) for n in (200, 300, 400) * 100]
     noise = noise_of_means(windows, [50] * 300)
@@ -128,7 +128,7 @@ def test_the_noise_of_a_mean_counts_blocks_less_what_was_removed_from_each_windo
     np.testing.assert_allclose(share, 1.0, atol=0.035)
 
 
-def test_excess_variance_brings_the_weighted_squares_to_their_degrees_of_freedom():
+def test_excess_variance_meets_the_degrees_of_freedom():
     rng = np.random.default_rng(16)
     stated, residuals = rng.uniform(0.5, 2.0, 20), 3.0 * rng.standard_normal(20)
     excess = excess_variance(residuals, stated, 13)

@@ -38,7 +38,7 @@ def test_the_jacobian_of_the_inverse_is_its_derivative():
         np.testing.assert_allclose(jacobian[:, k], (ends[0] - ends[1]) / 2e-6, rtol=0, atol=1e-9)
 
 
-def test_the_offset_of_a_constant_carries_errors_as_finite_differences_do() -> None:
+def test_offset_of_a_constant_agrees_with_finite_differences() -> None:
     matrix, constant, step = FORWARD, np.array([0.5, -1.0, 2.0]), 1e-6
     offset, jacobian = offset_of(matrix, constant, 12)
     np.testing.assert_allclose(matrix @ offset, constant, atol=1e-12)
@@ -51,7 +51,7 @@ def test_the_offset_of_a_constant_carries_errors_as_finite_differences_do() -> N
         np.testing.assert_allclose(jacobian[9:12, place], (high - low) / (2.0 * step), atol=1e-8)
 
 
-def test_the_covariance_without_an_offset_is_the_scatter_of_many_fits():
+def test_covariance_without_an_offset_is_the_scatter():
     rng = np.random.default_rng(14)
     forward = np.array([[2.0, 0.4, 0.0], [0.0, 0.5, 0.1], [0.3, 0.0, 8.0]])
     inputs = np.tile(INPUTS * [1.0, 3.0, 0.2], (2, 1))
@@ -67,7 +67,7 @@ def test_the_covariance_without_an_offset_is_the_scatter_of_many_fits():
     np.testing.assert_allclose(claimed / np.outer(size, size), scatter / np.outer(size, size), rtol=0, atol=0.15)
 
 
-def test_the_loss_of_an_offset_left_in_is_over_the_squares_of_one_axis():
+def test_loss_of_an_offset_left_in_is_over_one_axis():
     inputs = np.vstack((np.eye(3), -np.eye(3))) * 4.0  # two of 16 on each axis
     readings = inputs @ FORWARD.T + FORWARD @ [0.4, 0.0, 0.0]
     fit = paper_of(inputs, readings, 1e-6)

@@ -12,12 +12,11 @@ CALLERS = (
     "correction/test_correct.py",
     "correction/test_correct_stream.py",
     "test_orientation.py",
-    "test_orientation_angles.py",
 )
 # Every kernel and its corners once; the rest of the callers' tests says nothing more of the source.
 CHOSEN = (
-    "kernels or test_angles or every_step_agrees and -g-truncated or more_than_one_block and 257 or gap or hold_keeps "
-    "or on_each_axis or batch_reports or an_uneven_clock and 29 or ideal_readings or not_depend_on_the_length"
+    "kernels or every_step_agrees and -g-truncated or long_records and 257 or gap or hold_keeps or on_each_side "
+    "or of_the_batch_once or seconds_of_a_stream and 29 or ideal_readings or not_depend_on_the_length"
 )
 
 

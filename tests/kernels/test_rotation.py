@@ -31,7 +31,7 @@ def test_a_constant_rate_is_integrated_exactly(rate):
     assert angle_between(q, truth).max() < 1e-12  # 300 products of one rounding each, times the growth of the phase
 
 
-def test_uneven_steps_and_fast_and_slow_rates_agree_with_one_scipy_rotation_after_the_other():
+def test_rotations_agree_with_scipy():
     rng = np.random.default_rng(1)
     n = 301
     time = np.cumsum(rng.uniform(0.001, 0.03, n))
@@ -44,7 +44,7 @@ def test_uneven_steps_and_fast_and_slow_rates_agree_with_one_scipy_rotation_afte
     )  # both are right to a few roundings a step
 
 
-def test_coning_errs_as_the_rule_says_and_the_error_falls_with_the_square_of_the_step():
+def test_coning_error_falls_with_the_square_of_the_step():
     # Classical coning: an axis tilted by a cone angle goes round; the rate held over a step misses the third-order area.
     cone, speed, seconds = 0.1, 2.0 * np.pi, 1.0
 
@@ -73,7 +73,7 @@ def test_coning_errs_as_the_rule_says_and_the_error_falls_with_the_square_of_the
 
 
 @pytest.mark.skipif(not COMPILED, reason="a million samples need the compiler")
-def test_length_and_a_constant_turn_are_kept_over_a_million_samples():
+def test_length_is_kept_over_a_million_samples():
     n, rate = 1_000_000, np.array([0.7, -1.1, 0.4])
     time = np.arange(n) * 0.01
     q = integrate_strapdown(np.tile(rate, (n, 1)), time, LEVEL)
@@ -95,19 +95,19 @@ def test_a_buffer_is_filled_and_given_back():
 
 def test_shapes_that_disagree_and_gaps_are_refused():
     time = np.arange(5) * 0.01
-    with pytest.raises(InputError, match=r"expected gyro \(N, 3\), time \(N,\), q \(4,\), got \(4, 3\)"):
+    with pytest.raises(InputError, match=r"got \(4, 3\)"):
         integrate_strapdown(np.ones((4, 3)), time, LEVEL)
     gap = np.ones((5, 3))
     gap[2, 1] = np.nan
-    with pytest.raises(InputError, match="expected a rate at every sample, got gaps"):
+    with pytest.raises(InputError, match="got gaps"):
         integrate_strapdown(gap, time, LEVEL)
-    with pytest.raises(InputError, match=r"expected a float64 buffer of shape \(5, 4\) in C order"):
+    with pytest.raises(InputError, match=r"shape \(5, 4\)"):
         integrate_strapdown(np.ones((5, 3)), time, LEVEL, out=np.empty((4, 5)).T)
 
 
 @pytest.mark.parametrize("width", [4, 7, 40])  # of odd windows that half overlap, three share a sample
 @pytest.mark.parametrize("regressors", [(1, 1), (4, 3)])
-def test_means_of_the_carried_force_and_what_changes_them_agree_with_the_plain_twin(width, regressors):
+def test_carried_means_agree_with_the_plain_twin(width, regressors):
     rng = np.random.default_rng(3)
     n = 201
     time = np.cumsum(rng.uniform(0.005, 0.02, n))
@@ -119,11 +119,11 @@ def test_means_of_the_carried_force_and_what_changes_them_agree_with_the_plain_t
     def means(rate, force):
         out = np.full((len(first), 3 + 9 * sum(regressors)), np.nan)
         given = (rate, force, of_rate, of_force)
-        carried_means(*(each.reshape(-1) for each in given), time, first, weight, out.reshape(-1))
+        carried_means(*(item.reshape(-1) for item in given), time, first, weight, out.reshape(-1))
         return out
 
     out, twin = means(rate, force), twins.carried_means(rate, force, of_rate, of_force, time, first, weight)
-    np.testing.assert_allclose(out, np.hstack([each.reshape(len(first), -1) for each in twin]), rtol=0, atol=1e-11)
+    np.testing.assert_allclose(out, np.hstack([item.reshape(len(first), -1) for item in twin]), rtol=0, atol=1e-11)
     # what they say of a change is what comes of it
     turned, fixed = np.split(out[:, 3:], [9 * regressors[0]], axis=1)
     small, little = (1e-5 * rng.normal(size=(3, count)) for count in regressors)

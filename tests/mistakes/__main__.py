@@ -42,27 +42,33 @@ def main() -> int:
     parser.add_argument("--json", type=Path, help="file for the table")
     given = parser.parse_args()
     chosen = [
-        one for one in MISTAKES if all(word in f"{one.route} {one.sound.__name__} {one.name}" for word in given.words)
+        mistake
+        for mistake in MISTAKES
+        if all(word in f"{mistake.route} {mistake.sound.__name__} {mistake.name}" for word in given.words)
     ]
     if not chosen:
         print("no mistake of these words")
         return 2
     print(f"{'outcome':9}{'route':18}{'sound input':22}{'a person ...':80}{'wrong by':30}told")
     results = []
-    for one in chosen:
-        results.append(judged(one))
+    for mistake in chosen:
+        results.append(judged(mistake))
         print(line_of(results[-1]), flush=True)
-    alarms = [text for sound in dict.fromkeys(one.sound for one in chosen) for text in false_alarms(sound, chosen)]
-    counts = Counter(one.outcome for one in results)
+    alarms = [
+        text for sound in dict.fromkeys(mistake.sound for mistake in chosen) for text in false_alarms(sound, chosen)
+    ]
+    counts = Counter(mistake.outcome for mistake in results)
     print(f"\n{len(results)} mistakes: " + ", ".join(f"{name} {counts[name]}" for name in OUTCOMES))
     print("\n".join((f"false alarms with sound input: {len(alarms)}", *alarms)))
     if given.json is not None:
         rows = [
-            asdict(one) | {"wrong": {k: v if math.isfinite(v) else None for k, v in one.wrong.items()}}
-            for one in results
+            asdict(mistake) | {"wrong": {k: v if math.isfinite(v) else None for k, v in mistake.wrong.items()}}
+            for mistake in results
         ]
         given.json.write_text(json.dumps({"mistakes": rows, "counts": counts, "false_alarms": alarms}, indent=1) + "\n")
-    otherwise = [one.mistake for one, asked in zip(results, chosen, strict=True) if one.outcome != expected_of(asked)]
+    otherwise = [
+        mistake.mistake for mistake, asked in zip(results, chosen, strict=True) if mistake.outcome != expected_of(asked)
+    ]
     print("\n".join((f"come out otherwise than listed: {len(otherwise)}", *otherwise)))
     return 1 if otherwise or alarms else 0
 

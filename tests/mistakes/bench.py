@@ -144,8 +144,8 @@ def session_error(case: Case, folder: Path, told: Told) -> Wrong:
 
 def table_error(_: Case, folder: Path, __: Told) -> Wrong:
     """Return by how much the table misses what the device read at the true temperatures of the soaks."""
-    made = undrift.read_calibration(folder / "made.json")
-    static = made.drift.static if made.drift is not None else None
+    calibration = undrift.read_calibration(folder / "made.json")
+    static = calibration.drift.static if calibration.drift is not None else None
     if static is None or static.gyro_offset is None:
         return {"deg/s": np.inf}
     held = sound.soak()
@@ -267,10 +267,10 @@ def turned_in_a_soak(held: Session) -> Session:
 def short_rests(case: Case) -> Case:
     """Rest on each face for half a second."""
     brisk = BenchSettings(gravity_m_s2=sound.GRAVITY, still_s=0.5, move_s=1.0)
-    made = undrift.simulate_session(
+    session = undrift.simulate_session(
         "ferraris", sound.phone(), rng=np.random.default_rng(41), settings=brisk, temp_c=sound.TEMP_C
     )
-    return replace(case, recordings=(sound.recording_of(made.records[0]),))
+    return replace(case, recordings=(sound.recording_of(session.records[0]),))
 
 
 def tipped(held: Session) -> Session:
@@ -297,19 +297,6 @@ def begun_in_a_turn(turn: Turn) -> Turn:
     return replace(turn, start=turn.start + 150) if turn.axis == "y" else turn
 
 
-def _in_file(name: str, old: str, new: str) -> Change:
-    def changed(case: Case) -> Case:
-        def edit(folder: Path) -> None:
-            path = folder / name
-            text = path.read_text()
-            assert old in text, text[:2000]
-            path.write_text(text.replace(old, new))
-
-        return replace(case, edit=edit)
-
-    return changed
-
-
 def _saying(*words: object) -> Change:
     return lambda case: replace(case, words=words)
 
@@ -329,12 +316,6 @@ def _room_alone(one: Recording) -> Recording:
 
 def _other_calibration(case: Case) -> Case:
     return replace(case, calibration=sound.calibrated(13))
-
-
-def _later_in(one: Recording) -> Recording:
-    """Return the ramp without its first half: it begins hot, a long time after power-on."""
-    half = len(one.columns["t"]) // 2
-    return one.rows(np.arange(half, len(one.columns["t"])))
 
 
 # ---- the list

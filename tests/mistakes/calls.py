@@ -10,7 +10,7 @@ import numpy as np
 import undrift
 from mistakes import causes, habits, sound, worn
 from mistakes.planting import Case, Change, Told, Wrong, mistake, planted, record_error
-from mistakes.sound import Recording, poses, trial
+from mistakes.sound import poses, trial
 from undrift.frames import quaternion_conjugate
 from undrift.orientation import OrientSettings
 from undrift.validation.trial import TrialSettings
@@ -97,13 +97,13 @@ def orient() -> Case:
 @cache
 def calibrate() -> Case:
     """Return a call of calibrate."""
-    held = trial()
+    worn_trial = trial()
     return Case(
         route="python calibrate",
         recordings=(poses(),),
         call=_calibrate,
-        later=held.recording,
-        expected=held.right,
+        later=worn_trial.recording,
+        expected=worn_trial.right,
         wrong=later_error,
     )
 
@@ -144,11 +144,6 @@ def twice(case: Case) -> Case:
     return replace(case, call=call)
 
 
-def nominal_again(case: Case) -> Case:
-    """Correct arrays that another program had corrected."""
-    return worn.corrected_before(case)
-
-
 def _reference(change: Callable[[undrift.Reference], undrift.Reference]) -> Change:
     return lambda case: replace(case, references=tuple(change(one) for one in case.references))  # type: ignore[arg-type]
 
@@ -169,4 +164,3 @@ MISTAKES = (
     ),
     *planted(noise, habits.DPS_FOR_RAD),
 )
-assert Recording

@@ -224,5 +224,5 @@ def gap(one: Recording, start_s: float, stop_s: float, *, kept: bool) -> Recordi
     if not kept:
         return one.rows(np.flatnonzero(~inside))
     names = (*GYRO, *ACCEL)
-    held = {name: np.where(inside, np.nan, one.columns[name]) for name in names}
-    return replace(one.with_columns(**held), more='gaps = "keep"')
+    values = {name: np.where(inside, np.nan, one.columns[name]) for name in names}
+    return replace(one.with_columns(**values), more='gaps = "keep"')

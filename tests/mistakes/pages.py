@@ -71,8 +71,8 @@ def tilt_error(case: Case, _: Path, told: Told) -> Wrong:
 def later_error(case: Case, _: Path, told: Told) -> Wrong:
     """Return the error of a later recording, read in the same way."""
     assert case.later is not None
-    made = undrift.read_calibration(told.answer.calibration)
-    return record_error(undrift.correct(case.later.record(), made), case.expected)
+    calibration = undrift.read_calibration(told.answer.calibration)
+    return record_error(undrift.correct(case.later.record(), calibration), case.expected)
 
 
 # ---- sound input

@@ -133,20 +133,20 @@ def run(case: Case, folder: Path) -> Told:
 
 def words_of(case: Case, folder: Path) -> list[object]:
     """Write the files of a case and return the words of its command."""
-    held: list[object] = [*case.route.split()]
+    argv: list[object] = [*case.route.split()]
     files, mapped = written(case, folder)
-    held += [*files, *(("--map", mapped) if mapped else ()), *case.words]
+    argv += [*files, *(("--map", mapped) if mapped else ()), *case.words]
     if case.calibration is not None:
         write_calibration(case.calibration, folder / "calibration.json")
-        held += ["--calibration", folder / "calibration.json"]
+        argv += ["--calibration", folder / "calibration.json"]
     if case.references:
-        held += ["--reference", *written_references(case, folder)]
-    made = {"calibrate": "made.json", "drift": "made.json", "correct": "made.parquet", "orient": "made.parquet"}
-    made |= {"validate": "made"}
-    held += ["-o", folder / ("made" if case.together else made[case.route])] if case.route in made else []
+        argv += ["--reference", *written_references(case, folder)]
+    outputs = {"calibrate": "made.json", "drift": "made.json", "correct": "made.parquet", "orient": "made.parquet"}
+    outputs |= {"validate": "made"}
+    argv += ["-o", folder / ("made" if case.together else outputs[case.route])] if case.route in outputs else []
     if case.edit is not None:
         case.edit(folder)
-    return [*(str(word).replace("{folder}", str(folder)) for word in held), "--json"]
+    return [*(str(word).replace("{folder}", str(folder)) for word in argv), "--json"]
 
 
 def written(case: Case, folder: Path) -> tuple[list[Path], Path | None]:
@@ -360,19 +360,19 @@ def later_error(case: Case, folder: Path, _: Told) -> Wrong:
 def record_error(record: undrift.Record, expected: undrift.Record | None) -> Wrong:
     """Return the rms error of rate and specific force, at the moments that the record states."""
     assert expected is not None
-    held, right = record.in_si(), expected.in_si()
-    made: dict[str, float] = {}
+    reading, right = record.in_si(), expected.in_si()
+    error: dict[str, float] = {}
     for name, values, true, factor in (
-        ("deg/s", held.gyro, right.gyro, np.degrees(1.0)),
-        ("mg", held.accel, right.accel, 1e3 / 9.80665),
+        ("deg/s", reading.gyro, right.gyro, np.degrees(1.0)),
+        ("mg", reading.accel, right.accel, 1e3 / 9.80665),
     ):
         if values is None or true is None:
-            made[name] = np.inf
+            error[name] = np.inf
             continue
-        there = np.stack([np.interp(held.time, right.time, column) for column in true.T], axis=1)
+        there = np.stack([np.interp(reading.time, right.time, column) for column in true.T], axis=1)
         size = np.linalg.norm(values - there, axis=1)
-        made[name] = factor * float(np.sqrt(np.nanmean(size**2)))
-    return made
+        error[name] = factor * float(np.sqrt(np.nanmean(size**2)))
+    return error
 
 
 def with_recordings(change: Callable[[Recording], Recording]) -> Change:
@@ -395,8 +395,8 @@ def false_alarms(sound: Callable[[], Case], mistakes: Iterable[Mistake]) -> list
     if told.code:
         return [f"{where}: {told.error or f'exit code {told.code}'}"]
     patterns = tuple(pattern for one in mistakes if one.sound is sound for pattern in one.named)
-    found = [text for text in told.warnings if named_by((text,), patterns)]
-    return [f"{where}: {text}" for text in found]
+    results = [text for text in told.warnings if named_by((text,), patterns)]
+    return [f"{where}: {text}" for text in results]
 
 
 def expected_of(one: Mistake) -> str:

@@ -28,12 +28,12 @@ def _worn(place: str = "lower-back", turned: float = 0.0) -> tuple[Recording, np
 
 def mounting_error(_: Case, __: Path, told: Told) -> Wrong:
     """Return the angle between the mounting that was found and the true one; NaN where none was found."""
-    made = told.answer["mounting"]
-    if made is None:
+    result = told.answer["mounting"]
+    if result is None:
         return {"deg": np.inf}
     return {
         "deg": float(
-            np.degrees((Rotation.from_matrix(made["matrix"]) * Rotation.from_matrix(_worn()[1]).inv()).magnitude())
+            np.degrees((Rotation.from_matrix(result["matrix"]) * Rotation.from_matrix(_worn()[1]).inv()).magnitude())
         )
     }
 
@@ -47,18 +47,18 @@ def mount() -> Case:
 @cache
 def from_motion() -> Case:
     """Return a recording in which the device is turned, and a later one."""
-    held = trial()
+    worn_trial = trial()
     return Case(
-        route="calibrate", recordings=(held.recording,), words=("--from", "motion"), later=held.recording,
-        expected=held.right, wrong=later_error,
+        route="calibrate", recordings=(worn_trial.recording,), words=("--from", "motion"), later=worn_trial.recording,
+        expected=worn_trial.right, wrong=later_error,
     )  # fmt: skip
 
 
 @cache
 def folder() -> Case:
     """Return three recordings of one device in a folder, and its calibration."""
-    held = trial()
-    return replace(worn.correct(), recordings=(held.recording,) * 3, together=True, wrong=None)
+    worn_trial = trial()
+    return replace(worn.correct(), recordings=(worn_trial.recording,) * 3, together=True, wrong=None)
 
 
 @cache

@@ -50,7 +50,7 @@ class Recording:
 
     def rows(self, chosen: FloatArray) -> "Recording":
         """Return it with the chosen rows alone."""
-        return replace(self, columns={name: held[chosen] for name, held in self.columns.items()})
+        return replace(self, columns={name: values[chosen] for name, values in self.columns.items()})
 
     def in_units(self, **units: str) -> "Recording":
         """Return it with other units stated in the map."""
@@ -81,7 +81,7 @@ class Recording:
 
     def write(self, folder: Path, name: str) -> Path:
         """Write the file."""
-        columns = {key: held for key, held in self.columns.items() if key != "t" or self.sample_rate_hz is None}
+        columns = {key: values for key, values in self.columns.items() if key != "t" or self.sample_rate_hz is None}
         write_rows(folder / name, list(columns), list(columns.values()))
         return folder / name
 
@@ -130,11 +130,13 @@ def counter(seed: int = 12):
 @cache
 def trial(task: str = "free", seed: int = 11) -> Trial:
     """Return a recording of the phone in motion, between two rests."""
-    made = undrift.simulate_trial(task, phone(seed), rng=np.random.default_rng(21), temp_c=TEMP_C, gravity_m_s2=GRAVITY)
-    record = replace(made.record, device="")
+    result = undrift.simulate_trial(
+        task, phone(seed), rng=np.random.default_rng(21), temp_c=TEMP_C, gravity_m_s2=GRAVITY
+    )
+    record = replace(result.record, device="")
     right = undrift.correct(record, true_calibration(replace(phone(seed), serial="")))
     return Trial(
-        recording=recording_of(record), record=record, reference=made.reference, motion=made.motion, right=right
+        recording=recording_of(record), record=record, reference=result.reference, motion=result.motion, right=right
     )
 
 
@@ -212,13 +214,15 @@ def hand_session() -> undrift.Session:
 @cache
 def counted_trial() -> Trial:
     """Return a recording in counts, with the truth, for what a calibration of counts makes of it."""
-    made = undrift.simulate_trial("free", counter(), rng=np.random.default_rng(22), temp_c=TEMP_C, gravity_m_s2=GRAVITY)
-    right = undrift.correct(made.record, true_calibration(counter()))
+    result = undrift.simulate_trial(
+        "free", counter(), rng=np.random.default_rng(22), temp_c=TEMP_C, gravity_m_s2=GRAVITY
+    )
+    right = undrift.correct(result.record, true_calibration(counter()))
     return Trial(
-        recording=recording_of(made.record),
-        record=made.record,
-        reference=made.reference,
-        motion=made.motion,
+        recording=recording_of(result.record),
+        record=result.record,
+        reference=result.reference,
+        motion=result.motion,
         right=right,
     )
 
@@ -228,8 +232,8 @@ def soak(seed: int = 11) -> undrift.Session:
     """Return rests of a phone at five temperatures; the thermometer is in the file."""
     bench = BenchSettings(gravity_m_s2=GRAVITY, sample_rate_hz=20.0, turn_rates=(), still_s=20.0)
     settings = ThermalSettings(bench=bench, set_points_c=SET_POINTS_C)
-    made = undrift.simulate_thermal_session("soak", phone(seed), rng=np.random.default_rng(61), settings=settings)
-    return replace(made, serial="", records=tuple(replace(one, device="") for one in made.records))
+    session = undrift.simulate_thermal_session("soak", phone(seed), rng=np.random.default_rng(61), settings=settings)
+    return replace(session, serial="", records=tuple(replace(record, device="") for record in session.records))
 
 
 @cache
@@ -237,8 +241,8 @@ def ramp(seed: int = 11) -> Recording:
     """Return a phone at rest in a ramp up and back, at 4 Hz."""
     bench = BenchSettings(gravity_m_s2=GRAVITY, sample_rate_hz=4.0, turn_rates=())
     settings = ThermalSettings(bench=bench, ramp_c=(12.0, 40.0), ramp_c_per_min=2.0, ramp_hold_s=120.0)
-    made = undrift.simulate_thermal_session("ramp", phone(seed), rng=np.random.default_rng(62), settings=settings)
-    return recording_of(made.records[0])
+    session = undrift.simulate_thermal_session("ramp", phone(seed), rng=np.random.default_rng(62), settings=settings)
+    return recording_of(session.records[0])
 
 
 @cache
@@ -246,5 +250,5 @@ def rest() -> Recording:
     """Return a phone at rest for ten minutes, for its noise."""
     bench = BenchSettings(gravity_m_s2=GRAVITY, sample_rate_hz=50.0, turn_rates=())
     settings = ThermalSettings(bench=bench, ramp_c=(25.0, 25.01), ramp_hold_s=300.0)
-    made = undrift.simulate_thermal_session("ramp", phone(), rng=np.random.default_rng(63), settings=settings)
-    return recording_of(made.records[0])
+    session = undrift.simulate_thermal_session("ramp", phone(), rng=np.random.default_rng(63), settings=settings)
+    return recording_of(session.records[0])

@@ -20,7 +20,7 @@ from mistakes.planting import (
     record_error,
     with_recordings,
 )
-from mistakes.sound import ACCEL, GYRO, Recording, trial
+from mistakes.sound import ACCEL, GYRO, trial
 from testkit.trc_text import trc
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
 from undrift.io.text import write_rows
@@ -38,8 +38,8 @@ def corrected_error(case: Case, folder: Path, _: Told) -> Wrong:
 def tilt_error(case: Case, folder: Path, _: Told) -> Wrong:
     """Return the largest error of the vertical that orient found, at the moments that it states."""
     assert case.motion is not None
-    held = pq.read_table(folder / "made.parquet").to_pydict()
-    return {"deg": largest_tilt(np.array(held["time_s"]), np.column_stack([held[f"q_{k}"] for k in "wxyz"]), case)}
+    values = pq.read_table(folder / "made.parquet").to_pydict()
+    return {"deg": largest_tilt(np.array(values["time_s"]), np.column_stack([values[f"q_{k}"] for k in "wxyz"]), case)}
 
 
 def largest_tilt(time: np.ndarray, q_nb: np.ndarray, case: Case) -> float:
@@ -47,16 +47,16 @@ def largest_tilt(time: np.ndarray, q_nb: np.ndarray, case: Case) -> float:
     assert case.motion is not None
     nearest = np.clip(np.searchsorted(case.motion.time, time), 0, len(case.motion.time) - 1)
     up = np.array([0.0, 0.0, 1.0])
-    made, true = (rotate(quaternion_conjugate(q), up) for q in (q_nb, case.motion.q_nb[nearest]))
-    return float(np.degrees(np.arccos(np.clip((made * true).sum(axis=1), -1.0, 1.0))).max())
+    result, true = (rotate(quaternion_conjugate(q), up) for q in (q_nb, case.motion.q_nb[nearest]))
+    return float(np.degrees(np.arccos(np.clip((result * true).sum(axis=1), -1.0, 1.0))).max())
 
 
 def pitch_error(case: Case, folder: Path, _: Told) -> Wrong:
     """Return the largest error of the pitch of the trunk."""
     assert case.motion is not None
-    made = np.array(pq.read_table(folder / "made.parquet").to_pydict()["pitch_deg"])
+    result = np.array(pq.read_table(folder / "made.parquet").to_pydict()["pitch_deg"])
     up = rotate(quaternion_conjugate(case.motion.q_nb), np.array([0.0, 0.0, 1.0]))
-    return {"deg of pitch": float(np.nanmax(np.abs(made - np.degrees(np.arctan2(-up[:, 0], up[:, 2])))))}
+    return {"deg of pitch": float(np.nanmax(np.abs(result - np.degrees(np.arctan2(-up[:, 0], up[:, 2])))))}
 
 
 def reported_error(_: Case, __: Path, told: Told) -> Wrong:
@@ -73,13 +73,13 @@ def fitted_error(case: Case, folder: Path, told: Told) -> Wrong:
 @cache
 def correct() -> Case:
     """Return a recording to correct."""
-    held = trial()
+    worn_trial = trial()
     return Case(
         route="correct",
-        recordings=(held.recording,),
+        recordings=(worn_trial.recording,),
         calibration=sound.calibrated(),
-        expected=held.right,
-        motion=held.motion,
+        expected=worn_trial.right,
+        motion=worn_trial.motion,
         wrong=corrected_error,
     )
 
@@ -100,21 +100,21 @@ def orient() -> Case:
 @cache
 def validate() -> Case:
     """Return a recording with its reference."""
-    held = trial()
-    return replace(orient(), route="validate", references=(held.reference,), wrong=reported_error)
+    worn_trial = trial()
+    return replace(orient(), route="validate", references=(worn_trial.reference,), wrong=reported_error)
 
 
 @cache
 def validate_fit() -> Case:
     """Return a recording whose reference is to calibrate the device, and a later one."""
-    held = trial()
+    worn_trial = trial()
     return Case(
         route="validate",
-        recordings=(held.recording,),
+        recordings=(worn_trial.recording,),
         words=("--calibrate-from", "reference"),
-        references=(held.reference,),
-        later=held.recording,
-        expected=held.right,
+        references=(worn_trial.reference,),
+        later=worn_trial.recording,
+        expected=worn_trial.right,
         wrong=fitted_error,
     )
 
@@ -122,13 +122,13 @@ def validate_fit() -> Case:
 @cache
 def worn_pitch() -> Case:
     """Return a sit-to-stand with a device worn with its x up and its z to the left, and the options that say so."""
-    held = trial("sit_to_stand")
+    worn_trial = trial("sit_to_stand")
     return Case(
         route="orient",
-        recordings=(sound.remounted(held.recording),),
+        recordings=(sound.remounted(worn_trial.recording),),
         words=("--offset", "rest", "--forward", "+y", "--up", "+x"),
         calibration=sound.calibrated(remounted_=True),
-        motion=held.motion,
+        motion=worn_trial.motion,
         wrong=pitch_error,
     )
 
@@ -139,9 +139,9 @@ MARKERS = ("A", "B", "C", "D")
 def markers_of(reference: undrift.Reference, *, mirrored: bool = False, unit: str = "m") -> str:
     """Return a cluster of four markers on the device as TRC, in a laboratory whose y points up."""
     arms = np.array([[0.08, 0.0, 0.0], [-0.05, 0.07, 0.0], [-0.04, -0.06, 0.03], [0.0, 0.02, 0.09]])
-    held = np.asarray(reference.q_nb)
-    places = np.zeros((len(held), 3)) if reference.position is None else reference.position
-    points = np.stack([places + rotate(held, arm) for arm in arms], axis=1)
+    values = np.asarray(reference.q_nb)
+    places = np.zeros((len(values), 3)) if reference.position is None else reference.position
+    points = np.stack([places + rotate(values, arm) for arm in arms], axis=1)
     x, y, z = np.moveaxis(points, -1, 0)
     return trc(np.stack((x, z, y if mirrored else -y), axis=-1), MARKERS, unit=unit)
 
@@ -176,11 +176,11 @@ def _at(temp_c: float) -> Change:
     """Return the change that records at another temperature."""
 
     def changed(case: Case) -> Case:
-        made = undrift.simulate_trial(
+        result = undrift.simulate_trial(
             "free", sound.phone(), rng=np.random.default_rng(21), temp_c=temp_c, gravity_m_s2=sound.GRAVITY
         )
-        right = undrift.correct(made.record, true_calibration(sound.phone(), temp_c=temp_c))
-        return replace(case, recordings=(sound.recording_of(made.record),), expected=right)
+        right = undrift.correct(result.record, true_calibration(sound.phone(), temp_c=temp_c))
+        return replace(case, recordings=(sound.recording_of(result.record),), expected=right)
 
     return changed
 
@@ -212,12 +212,12 @@ def sensor_logger_on_ios(case: Case) -> Case:
     """Give the folder that Sensor Logger writes on iOS, whose acceleration is negative up, without its Metadata.csv."""
 
     def edit(folder: Path) -> None:
-        held = case.recordings[0].columns
+        values = case.recordings[0].columns
         (folder / "recording0.csv").unlink()
         (folder / "recording0.csv").mkdir()
         for file, names, sign in (("TotalAcceleration.csv", ACCEL, -1.0), ("Gyroscope.csv", GYRO, 1.0)):
-            x, y, z = (sign * held[name] for name in names)
-            columns = (1.7e18 + np.round(1e9 * held["t"]), held["t"], z, y, x)
+            x, y, z = (sign * values[name] for name in names)
+            columns = (1.7e18 + np.round(1e9 * values["t"]), values["t"], z, y, x)
             write_rows(folder / "recording0.csv" / file, ("time", "seconds_elapsed", "z", "y", "x"), columns)
 
     return replace(case, edit=edit, mapped=False)
@@ -244,22 +244,22 @@ def other_format(case: Case) -> Case:
 
 def turning_in_the_rest(case: Case) -> Case:
     """Turn the device about x by half a degree a second in the rest at the start."""
-    held, rate = trial(), np.radians(0.5)
-    time = held.motion.time
-    back = np.where(time < held.motion.time[0] + 5.5, rate * (time - 5.5), 0.0)
+    values, rate = trial(), np.radians(0.5)
+    time = values.motion.time
+    back = np.where(time < values.motion.time[0] + 5.5, rate * (time - 5.5), 0.0)
     turn = turn_quaternion(np.array([1.0, 0.0, 0.0]), back)
-    one, force = held.recording, np.stack([held.recording.columns[name] for name in ACCEL], axis=1)
+    one, force = values.recording, np.stack([values.recording.columns[name] for name in ACCEL], axis=1)
     columns = dict(zip(ACCEL, rotate(quaternion_conjugate(turn), force).T, strict=True))
     turned = one.with_columns(**columns, gx=one.columns["gx"] + np.where(back < 0.0, rate, 0.0))
-    motion = replace(held.motion, q_nb=quaternion_product(held.motion.q_nb, turn))
+    motion = replace(values.motion, q_nb=quaternion_product(values.motion.q_nb, turn))
     return replace(case, recordings=(turned,), motion=motion)
 
 
 def _in_mm(one: undrift.Reference) -> undrift.Reference:
     """Return a reference with its positions in mm, as a file may hold them; the value itself refuses them."""
-    made = replace(one)
-    object.__setattr__(made, "position", 1e3 * np.asarray(one.position))
-    return made
+    result = replace(one)
+    object.__setattr__(result, "position", 1e3 * np.asarray(one.position))
+    return result
 
 
 def _reference(change) -> Change:
@@ -296,10 +296,6 @@ def without(*left_out: object) -> Change:
 def saying(*words: object) -> Change:
     """Return the change that says other options."""
     return lambda case: replace(case, words=words)
-
-
-def _upside_down(one: Recording) -> Recording:
-    return one.scaled(("gy", "gz", "ay", "az"), -1.0)
 
 
 def _markers(*, mirrored: bool = False) -> Change:

@@ -48,11 +48,11 @@ def test_intervals_of_six_faces_hold_under_creep(tilt_sd: float) -> None:
     ratio, offsets = [], []
     for _ in range(DEVICES):
         session, matrix, offset = drawn(rng, tilt_sd)
-        made = calibrate_faces(observe(session, SETTINGS), None)
-        assert made.fit is not None
-        assert made.fit.verdict.status == "good"
-        assert made.findings == ()
-        model = made.fit.model
+        outcome = calibrate_faces(observe(session, SETTINGS), None)
+        assert outcome.fit is not None
+        assert outcome.fit.verdict.status == "good"
+        assert outcome.findings == ()
+        model = outcome.fit.model
         away = np.concatenate(((model.matrix - matrix)[own], (model.matrix - matrix)[~own], model.offset - offset))
         sigma = model.standard_uncertainty
         stated = sigma[:9].reshape(3, 3)

@@ -41,8 +41,8 @@ def quiet_floor(device: DeviceModel) -> float:
 
 
 def note_device(seed: int) -> DeviceModel:
-    made = random_device(np.random.default_rng(seed), grade="enc03j_3031")
-    return replace(made, thermometer=Thermometer(noise_c=0.05))
+    model = random_device(np.random.default_rng(seed), grade="enc03j_3031")
+    return replace(model, thermometer=Thermometer(noise_c=0.05))
 
 
 def static_of(rests: RestBlocks) -> StaticDrift:
@@ -81,7 +81,7 @@ def sit_to_stand(seed: int) -> Motion:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_the_compensated_rate_error_is_near_that_of_the_true_tables(seed: int) -> None:
+def test_compensated_rate_error_is_near_the_true_tables(seed: int) -> None:
     motion = table_motion(dwell_s=1.5)
     dwells = np.concatenate([np.arange(turn.start + 50, turn.stop) for turn in motion.turns])
     rng = np.random.default_rng(seed)
@@ -104,8 +104,8 @@ def test_the_compensated_rate_error_is_near_that_of_the_true_tables(seed: int) -
     for temp_c in (21.0, 38.0, 62.0):
         both = ("sit-to-stand", sit_to_stand(seed), slice(None)), ("grid", motion, dwells)
         for name, moved, rows in both if seed else both[temp_c == 38.0 :][:1]:  # all of each in `make test-long`
-            left = errors(device, moved, temp_c, calibrations, rows)
-            figures = "constant {:.3f}, static {:.3f}, all tables {:.4f}, true tables {:.4f}".format(*left)
+            residual = errors(device, moved, temp_c, calibrations, rows)
+            figures = "constant {:.3f}, static {:.3f}, all tables {:.4f}, true tables {:.4f}".format(*residual)
             show(f"device {seed}, {temp_c:g} degC, {name}, deg/s rms", figures, f"{LIMIT} x the last")
             quiet_left = errors(quiet, moved, temp_c, calibrations[2:], rows, device.gyro.adc.step)
             show(
@@ -115,8 +115,8 @@ def test_the_compensated_rate_error_is_near_that_of_the_true_tables(seed: int) -
                 f"hypot of {quiet_floor(device):.4f} and {LIMIT} x the last",
             )
             assert quiet_left[0] < np.hypot(quiet_floor(device), LIMIT * quiet_left[1])
-            assert left[2] < LIMIT * left[3]
-            assert left[2] < left[1] < left[0]
+            assert residual[2] < LIMIT * residual[3]
+            assert residual[2] < residual[1] < residual[0]
 
 
 def _truth_of_e(device: DeviceModel, fit: DynamicFit, axis: int) -> np.ndarray:
@@ -153,8 +153,8 @@ def test_intervals_of_matrix_and_dynamic_drift_hold_the_truth(devices: int) -> N
         if seed % 3:
             continue
         steps = computed(device, SOAKS, rng, rates=GRID[1::2])
-        made = true_calibration(device)
-        dynamic = fit_dynamic(prepared(steps, made.gyro, static=static), made.gyro, span_c=(15.0, 75.0))
+        calibration = true_calibration(device)
+        dynamic = fit_dynamic(prepared(steps, calibration.gyro, static=static), calibration.gyro, span_c=(15.0, 75.0))
         seen = ~dynamic.drift.extrapolated & (dynamic.drift.turn_rate != 0.0)
         for axis in range(3):
             off = dynamic.drift.error[..., axis] - _truth_of_e(device, dynamic, axis)

@@ -55,12 +55,12 @@ class Rise:
 def bench_session(device: DeviceModel, rng: np.random.Generator) -> Session:
     """Return the bench at the calibration temperature."""
     motion = bench_motion("bench", rng=rng, settings=BENCH)
-    made = simulate_device(device, motion, rng=rng, temp_c=CALIBRATED_C, power_on_s=SETTLED_S)
+    simulation = simulate_device(device, motion, rng=rng, temp_c=CALIBRATED_C, power_on_s=SETTLED_S)
     return Session(
         kind="calibration",
         serial=device.serial,
         gravity_m_s2=motion.gravity_m_s2,
-        records=(made.record,),
+        records=(simulation.record,),
         stills=motion.stills,
         turns=motion.turns,
     )
@@ -70,8 +70,8 @@ def rise(device: DeviceModel, temp_c: float, rng: np.random.Generator) -> Rise:
     """Return a sit-to-stand with its optics."""
     performed = draw_task("sit_to_stand", rng=rng)
     motion = performed.at(np.arange(round(performed.duration_s * 100.0)) / 100.0, 9.80665)
-    made = simulate_device(device, motion, rng=rng, temp_c=temp_c, power_on_s=SETTLED_S)
-    return Rise(made.record, see(performed, rng=rng))
+    simulation = simulate_device(device, motion, rng=rng, temp_c=temp_c, power_on_s=SETTLED_S)
+    return Rise(simulation.record, see(performed, rng=rng))
 
 
 def true_tables_of(device: DeviceModel, calibration: Calibration, rng: np.random.Generator) -> DriftTables:
@@ -148,7 +148,7 @@ def print_table(name: str, errors: np.ndarray, excursions_k: tuple[float, ...] =
 @pytest.mark.parametrize(
     "tables_of", [true_tables_of, up_tables, pytest.param(there_and_back_tables, marks=pytest.mark.slow)]
 )
-def test_the_typical_unit_loses_more_than_three_degrees_and_the_tables_give_them_back(tables_of: TablesOf) -> None:
+def test_typical_unit_gets_three_degrees_back_by_the_tables(tables_of: TablesOf) -> None:
     errors = pitch_errors(preset("enc03j_3031"), tables_of, seed=0)
     print_table(f"typical unit, {tables_of.__name__}", errors)
     fall = errors[:, 0] - errors[:, 2]
@@ -161,7 +161,7 @@ def test_the_typical_unit_loses_more_than_three_degrees_and_the_tables_give_them
 
 @pytest.mark.slow
 @pytest.mark.parametrize("units", [3, 10])
-def test_units_drawn_from_the_preset_keep_a_small_part_of_their_drift(units: int) -> None:
+def test_drawn_units_keep_a_small_part_of_their_drift(units: int) -> None:
     middle = EXCURSIONS_K[1:2]
     errors = np.stack(
         [

@@ -56,16 +56,14 @@ def outcome(session: Session, record: Record, device: DeviceModel) -> float:
 @pytest.mark.slow
 @pytest.mark.parametrize("devices", [2, 4])
 @pytest.mark.parametrize(("name", "settings"), [("bursts and drop-outs", BURSTS), ("jitter", JITTER), ("mild", MILD)])
-def test_a_regular_clock_is_as_good_as_the_true_one_on_the_same_samples(
-    name: str, settings: HostSettings, devices: int
-) -> None:
+def test_regular_clock_is_as_good_as_the_true_one(name: str, settings: HostSettings, devices: int) -> None:
     errors = []
     for seed in range(devices):
-        device, session, made = session_of(seed, settings)
-        true = replace(made.record, time=session.records[0].time[made.kept])
-        fitted = replace(made.record, time=fit_clock(made.record.time).time)
-        counted = replace(made.record, time=fit_clock(made.record.time, made.counter.astype(float)).time)
-        errors.append([outcome(session, record, device) for record in (true, made.record, fitted, counted)])
+        device, session, result = session_of(seed, settings)
+        true = replace(result.record, time=session.records[0].time[result.kept])
+        fitted = replace(result.record, time=fit_clock(result.record.time).time)
+        counted = replace(result.record, time=fit_clock(result.record.time, result.counter.astype(float)).time)
+        errors.append([outcome(session, record, device) for record in (true, result.record, fitted, counted)])
     largest = np.max(errors, axis=0)
     for clock, value in zip(
         ("true clock", "host's stamps", "--clock regular", "regular by the counter"), largest, strict=True
@@ -77,9 +75,9 @@ def test_a_regular_clock_is_as_good_as_the_true_one_on_the_same_samples(
 
 
 @pytest.mark.slow
-def test_the_key_in_session_toml_and_the_stated_stills_go_by_the_fitted_clock(tmp_path) -> None:
-    device, session, made = session_of(1, BURSTS)
-    write_session(replace(session, records=(made.record,)), tmp_path / "s")
+def test_clock_of_session_toml_is_the_fitted_one(tmp_path) -> None:
+    device, session, result = session_of(1, BURSTS)
+    write_session(replace(session, records=(result.record,)), tmp_path / "s")
     path = tmp_path / "s" / "session.toml"
     path.write_text(path.read_text() + 'clock = "regular"\n')
     assert error(calibrate(read_session(path)), device) < 4e-3

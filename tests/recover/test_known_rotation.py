@@ -85,17 +85,17 @@ def parameters(model: TriadModel) -> Array:
 def test_faces_and_turns_give_back_the_device_without_noise(mode: KnownRotationMode) -> None:
     rng = np.random.default_rng(1)
     device = without_noise(white_device(rng, g_sensitivity=True))
-    found, wanted = parameters(fitted(device, rng, mode)), reported(truth(device))
+    result, wanted = parameters(fitted(device, rng, mode)), reported(truth(device))
     # rounding of a sum of 200 readings; affine, the prior of the g-sensitivity against the flicker and drift of the offset
     share = {"paper": 1e-11, "affine": 1e-7}[mode]
-    np.testing.assert_allclose(found[:9], wanted[:9], rtol=0, atol=share * wanted[0])
-    np.testing.assert_allclose(found[9:12], wanted[9:12], rtol=1e-7, atol=1000.0 * share)
-    np.testing.assert_allclose(found[12:], wanted[12:], rtol=1e-3 if mode == "affine" else 1e-7, atol=share)
+    np.testing.assert_allclose(result[:9], wanted[:9], rtol=0, atol=share * wanted[0])
+    np.testing.assert_allclose(result[9:12], wanted[9:12], rtol=1e-7, atol=1000.0 * share)
+    np.testing.assert_allclose(result[12:], wanted[12:], rtol=1e-3 if mode == "affine" else 1e-7, atol=share)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("devices", COHORTS)
-def test_error_of_many_devices_reaches_the_bound_and_its_intervals_hold(devices: int) -> None:
+def test_errors_reach_the_bound_and_intervals_hold(devices: int) -> None:
     rng = np.random.default_rng(2)
     tally = Tally.of("known rotation")
     for _ in range(devices):
@@ -107,7 +107,7 @@ def test_error_of_many_devices_reaches_the_bound_and_its_intervals_hold(devices:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("devices", COHORTS)
-def test_a_scale_that_creeps_with_temperature_is_as_uncertain_as_it_errs(devices: int) -> None:
+def test_creeping_scale_is_as_uncertain_as_it_errs(devices: int) -> None:
     # the fit states flicker too, so the devices flicker
     scale = next(row for row in rows_of("creep 1 degC, flicker 8 deg/h", devices, 1) if row.group == "scale")
     ratio, count = scale.rmse / scale.stated, 3 * devices

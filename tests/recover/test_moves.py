@@ -145,14 +145,14 @@ def test_poses_and_turns_give_back_the_device_without_noise() -> None:
         accel = fit_poses(still_means(record, motion), gravity=STANDARD_GRAVITY).model
         np.testing.assert_allclose(accel.matrix[UPPER], p[:6], atol=1e-10 * p[0])  # rounding of 1e-16 times condition
         np.testing.assert_allclose(accel.offset, p[6:], atol=1e-6)  # counts; g is 4096
-        found = fit_moves((record,), motion.stills, accel).model
-        np.testing.assert_allclose(found.matrix, gyro, atol=1e-7 * gyro[0, 0])  # rounding through the iterations
-        np.testing.assert_allclose(found.offset, offset, atol=1e-5)  # counts; 1 rad/s is 940
+        model = fit_moves((record,), motion.stills, accel).model
+        np.testing.assert_allclose(model.matrix, gyro, atol=1e-7 * gyro[0, 0])  # rounding through the iterations
+        np.testing.assert_allclose(model.offset, offset, atol=1e-5)  # counts; 1 rad/s is 940
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("devices", COHORTS)
-def test_error_of_many_devices_reaches_the_bound_and_its_intervals_hold(devices: int) -> None:
+def test_errors_reach_the_bound_and_intervals_hold(devices: int) -> None:
     rng = np.random.default_rng(2)
     accel_tally, gyro_tally = Tally.of("multi-position accelerometer"), Tally.of("multi-position gyroscope")
     for number in range(devices):

@@ -49,7 +49,7 @@ def errors(
     kind: BenchKind, table: BenchErrors, *, described: RateTable | None = None
 ) -> tuple[np.ndarray, np.ndarray, list[Calibration]]:
     """Return error over standard uncertainty, and relative error, of the matrix of each device."""
-    rng, ratio, error, made = np.random.default_rng(12), [], [], []
+    rng, ratio, error, result = np.random.default_rng(12), [], [], []
     bench = BenchSettings(sample_rate_hz=50.0, turn_rates=RATES, errors=table, lever_arm_b=ARM)
     for _ in range(DEVICES):
         device = white_device(rng)
@@ -57,13 +57,13 @@ def errors(
             simulate_session(kind, device, rng=rng, settings=bench), rate_table=described or stated(table)
         )
         given = session if kind == "bench" else without_accel(session)
-        made.append(calibrate(given, settings=CalibrateSettings(identify_adc=False)))
-        gyro = made[-1].gyro
+        result.append(calibrate(given, settings=CalibrateSettings(identify_adc=False)))
+        gyro = result[-1].gyro
         assert gyro is not None
         away = gyro.matrix - np.linalg.inv(device.gyro.forward_matrix)
         ratio.append(away.ravel() / gyro.standard_uncertainty[:9])
         error.append((away @ device.gyro.forward_matrix).ravel())
-    return np.array(ratio), np.array(error), made
+    return np.array(ratio), np.array(error), result
 
 
 def check(name: str, ratio: np.ndarray, *, shared: int = 1, bounded: bool = False) -> None:
@@ -81,7 +81,7 @@ def check(name: str, ratio: np.ndarray, *, shared: int = 1, bounded: bool = Fals
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "shown"), [("bench", True), ("rate_table", False)])
-def test_a_mounting_is_measured_where_gravity_shows_it_and_stated_where_not(kind: BenchKind, shown: bool) -> None:
+def test_mounting_is_measured_if_gravity_shows_it(kind: BenchKind, shown: bool) -> None:
     ratio, error, _ = errors(kind, MOUNTED)
     check(f"cross-axis, accelerometers {shown}", ratio[:, CROSS])
     check(f"scale, accelerometers {shown}", ratio[:, SCALES])
@@ -115,9 +115,9 @@ def test_intervals_hold_where_a_table_errs_in_every_way() -> None:
     check("scale, all together", ratio[:, SCALES], shared=3)  # one rate error of a table is in all three
 
 
-def test_a_run_of_a_rig_with_a_recording_for_each_dwell_is_calibrated():
-    device, made = run_of(1, 0.1)
+def test_rig_run_of_one_recording_a_dwell_is_calibrated():
+    device, result = run_of(1, 0.1)
     true = true_calibration(device).gyro
-    scale = np.diag(made.gyro.matrix @ np.linalg.inv(true.matrix)) - 1.0
+    scale = np.diag(result.gyro.matrix @ np.linalg.inv(true.matrix)) - 1.0
     show("rig run, error of the scale", np.abs(scale).max(), 3e-4)
     assert np.abs(scale).max() < 3e-4  # three times the uncertainty that the fit states

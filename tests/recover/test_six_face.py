@@ -100,7 +100,7 @@ def test_six_faces_give_back_the_device_without_noise(mode: Mode) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("devices", LARGER_COHORTS)  # 60 cannot tell 0.966 from what is allowed
-def test_error_of_many_devices_on_level_faces_reaches_the_bound_and_its_intervals_hold(devices: int) -> None:
+def test_errors_on_level_faces_reach_the_bound(devices: int) -> None:
     rng = np.random.default_rng(2)
     paper, affine = (Tally.of(f"six-face {mode}, level") for mode in ("paper", "affine"))
     for _ in range(devices):
@@ -118,9 +118,7 @@ def test_error_of_many_devices_on_level_faces_reaches_the_bound_and_its_interval
 @pytest.mark.slow
 @pytest.mark.parametrize("tilt_deg", [0.01, 0.1])
 @pytest.mark.parametrize("devices", COHORTS)
-def test_error_of_many_devices_on_tilted_faces_reaches_the_bound_and_its_intervals_hold(
-    devices: int, tilt_deg: float
-) -> None:
+def test_errors_on_tilted_faces_reach_the_bound(devices: int, tilt_deg: float) -> None:
     rng = np.random.default_rng(3)
     tilt = tilt_deg * RADIAN_PER_DEGREE
     tally = Tally.of(f"six-face affine, tilt {tilt_deg} deg")

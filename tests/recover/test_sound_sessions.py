@@ -30,21 +30,21 @@ MILD = {"temp_c": (24.8, 25.2), **WARM}  # and faces 0.1 deg off level
 @cache
 def sessions(kind, *, labelled=True, devices=len(KINDS), **more):
     """Return a session of each of the devices."""
-    made = []
+    results = []
     for seed, name in enumerate(KINDS[:devices]):
         rng = np.random.default_rng(seed)
         device = random_device(rng, grade=name)
         settings = BenchSettings(errors=BenchErrors(face_tilt=0.1 * DEG, hand_axis=0.5 * DEG))
         rng = np.random.default_rng(1000 + seed)
-        made.append(simulate_session(kind, device, rng=rng, settings=settings, labelled=labelled, **more))
-    return made
+        results.append(simulate_session(kind, device, rng=rng, settings=settings, labelled=labelled, **more))
+    return results
 
 
 def verdicts(drawn, **settings):
-    made = [calibrate(session, settings=CalibrateSettings(**settings)).verdict for session in drawn]
-    reasons = Counter(item.code for one in made for item in one.findings if item.level != "info")
-    counts = Counter(one.status for one in made)
-    show(f"verdicts of {len(made)} devices", dict(counts), dict(reasons))
+    results = [calibrate(session, settings=CalibrateSettings(**settings)).verdict for session in drawn]
+    reasons = Counter(item.code for result in results for item in result.findings if item.level != "info")
+    counts = Counter(result.status for result in results)
+    show(f"verdicts of {len(results)} devices", dict(counts), dict(reasons))
     return counts, reasons
 
 
@@ -61,7 +61,7 @@ SOUND = [
     ("kind", "labelled", "angle", "temperature"),
     [case if case[1] == case[3] else pytest.param(*case, marks=pytest.mark.slow) for case in SOUND],
 )
-def test_a_sound_session_on_a_mildly_erring_bench_is_good_on_four_devices_of_five(kind, labelled, angle, temperature):
+def test_sound_session_is_good_on_four_devices_of_five(kind, labelled, angle, temperature):
     drawn = sessions(kind, labelled=labelled, **MILD)
     if not temperature:
         drawn = (replace(s, records=tuple(replace(r, temp_c=None) for r in s.records)) for s in drawn)
@@ -85,20 +85,20 @@ def test_full_turns_that_give_no_scale_are_no_information_alone():
     session = sessions("ferraris", **MILD)[0]
     record, stop = session.records[0], session.turns[0].stop + 600  # six faces, one turn and the rest after it
     kept = {name: getattr(record, name)[:stop] for name in ("time", "gyro", "accel", "temp_c")}
-    made = calibrate(replace(session, records=(replace(record, **kept),), stills=(), turns=()))
-    assert made.gyro is None
-    assert made.verdict.status == "marginal"
-    assert only(made.verdict.findings, "session.not_observable").level == "warn"
+    calibration = calibrate(replace(session, records=(replace(record, **kept),), stills=(), turns=()))
+    assert calibration.gyro is None
+    assert calibration.verdict.status == "marginal"
+    assert only(calibration.verdict.findings, "session.not_observable").level == "warn"
 
 
 def test_the_scale_of_offset_alone_is_uncertain_as_a_part_s_is():
     session = sessions("six_face", **MILD)[0]
     record = session.records[0]
-    made = calibrate(replace(session, records=(replace(record, gyro=record.gyro / 16.4, gyro_unit="dps"),)))
-    assert made.gyro.method == "rest"
-    relative = made.gyro.standard_uncertainty[:9].reshape(3, 3) / np.diag(made.gyro.matrix)
+    calibration = calibrate(replace(session, records=(replace(record, gyro=record.gyro / 16.4, gyro_unit="dps"),)))
+    assert calibration.gyro.method == "rest"
+    relative = calibration.gyro.standard_uncertainty[:9].reshape(3, 3) / np.diag(calibration.gyro.matrix)
     np.testing.assert_allclose(np.diag(relative), 0.03)
-    assert made.verdict.status == "good"
+    assert calibration.verdict.status == "good"
 
 
 @pytest.mark.slow
@@ -117,15 +117,15 @@ def test_intervals_hold_where_a_bare_log_of_tilted_faces_is_good(devices):
             settings=BenchSettings(errors=BenchErrors(face_tilt=0.1 * DEG)),
             temp_c=25.0,
         )
-        made = calibrate(session, settings=CalibrateSettings(turn_angle_deg=360.0))
-        if made.verdict.status != "good":
+        calibration = calibrate(session, settings=CalibrateSettings(turn_angle_deg=360.0))
+        if calibration.verdict.status != "good":
             continue
-        truth, sigma = true_calibration(device, temp_c=25.0).accel, made.accel.standard_uncertainty
-        held = np.abs(made.accel.matrix - truth.matrix) <= 1.96 * sigma[:9].reshape(3, 3)
+        truth, sigma = true_calibration(device, temp_c=25.0).accel, calibration.accel.standard_uncertainty
+        held = np.abs(calibration.accel.matrix - truth.matrix) <= 1.96 * sigma[:9].reshape(3, 3)
         inside["scale"] += np.diag(held).tolist()
         inside["cross"] += held[~np.eye(3, dtype=bool)].tolist()
-        inside["offset"] += (np.abs(made.accel.offset - truth.offset) <= 1.96 * sigma[9:12]).tolist()
-    shares = {name: round(float(np.mean(each)), 3) for name, each in inside.items()}
+        inside["offset"] += (np.abs(calibration.accel.offset - truth.offset) <= 1.96 * sigma[9:12]).tolist()
+    shares = {name: round(float(np.mean(item)), 3) for name, item in inside.items()}
     show("inside 95 % where good", shares, f"0.9 or more of {len(inside['cross'])}")
     assert len(inside["scale"]) >= 3 * 0.8 * devices  # most are good
     assert min(shares.values()) >= 0.90
@@ -137,6 +137,6 @@ def test_poses_whose_excess_variances_alternate_converge():
         47
     ):  # whole steps went back and forth between no excess of the rests and a little for this device alone
         session, truth = multi_position.drawn(multi_position.CASES["creep 1 degC, 12 bit, flicker"], rng)
-    made = calibrate(session, accel="multi-position", gyro="multi-position", settings=multi_position.SETTINGS)
+    calibration = calibrate(session, accel="multi-position", gyro="multi-position", settings=multi_position.SETTINGS)
     matrix = truth[1][0]
-    assert np.abs(made.gyro.matrix / np.diag(matrix).mean() - matrix / np.diag(matrix).mean()).max() < 1e-3
+    assert np.abs(calibration.gyro.matrix / np.diag(matrix).mean() - matrix / np.diag(matrix).mean()).max() < 1e-3

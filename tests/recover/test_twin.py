@@ -91,7 +91,7 @@ def truth() -> dict[str, float]:
 
 
 @pytest.mark.slow
-def test_every_parameter_comes_back_within_what_its_standard_error_says():
+def test_parameters_come_back_within_their_standard_error():
     z = {}
     for name, value in truth().items():
         got, error = found(name)
@@ -123,7 +123,7 @@ def test_the_device_of_the_twin_is_the_device():
 
 
 @pytest.mark.slow
-def test_held_out_windows_of_a_device_that_the_model_holds_are_as_good_as_the_poses():
+def test_held_out_windows_are_as_good_as_the_poses():
     trials = compare_held_out(fitted(), rng=np.random.default_rng(3), lengths_s=(5.0,))
     assert [t.recording for t in trials] == ["one", "two"]
     for t in trials:

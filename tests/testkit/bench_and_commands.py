@@ -29,13 +29,13 @@ def bench(tmp_path_factory) -> Path:
 
 def make_bench(folder: Path) -> Path:
     """Write the files of a bench into a folder."""
-    made = demo_session(np.random.default_rng(2007), quick=True)
-    write_session(made.session, folder / "session")
-    write_record(made.trial.record, folder / "trial.parquet")
-    write_reference(made.trial.reference, folder / "reference.parquet")
+    session = demo_session(np.random.default_rng(2007), quick=True)
+    write_session(session.session, folder / "session")
+    write_record(session.trial.record, folder / "trial.parquet")
+    write_reference(session.trial.reference, folder / "reference.parquet")
     calibration = calibrate(read_session(folder / "session"))
     write_calibration(calibration, folder / "calibration.json")
-    write_record(correct_checked(made.trial.record, calibration).record, folder / "corrected.parquet")
+    write_record(correct_checked(session.trial.record, calibration).record, folder / "corrected.parquet")
     (folder / "summary.json").write_text(json.dumps({"kind": "undrift.demo", "checks": []}))
     (folder / "report.html").write_text("<!doctype html>\n")
     return folder

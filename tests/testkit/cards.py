@@ -56,22 +56,22 @@ class Card:
             return f"{self.code} Some words\r\n:".encode()
         if command == "\x12\x16":
             return b"DMC1415 Rev 1.0u\r\n:"
-        if found := re.fullmatch(r"MG (\d+)", command):
-            return f" {found.group(1)}.0000\r\n:".encode()
+        if result := re.fullmatch(r"MG (\d+)", command):
+            return f" {result.group(1)}.0000\r\n:".encode()
         if command == "MG _BGX":
             return f" {int(self.poll())}.0000\r\n:".encode()
-        if found := re.fullmatch(r"MG _([A-Z]{2})X?", command):
-            return f" {float(self.held[found.group(1)]):.4f}\r\n:".encode()
+        if result := re.fullmatch(r"MG _([A-Z]{2})X?", command):
+            return f" {float(self.held[result.group(1)]):.4f}\r\n:".encode()
         if command == BOTH:
             return f"{int(self.held['TP']): 011d} {0: 011d}\r\n:".encode()  # its clock stands still
         if command == "MG _TEX{F10.0}":
             return f"{int(self.held['TE']): 011d}\r\n:".encode()
-        if found := re.fullmatch(r"(TS|SC)X", command):
-            return f" {int(self.held[found.group(1)]):03d}\r\n:".encode()
-        if found := re.fullmatch(r"([A-Z]{2}) \?", command):
-            return f" {float(self.held[found.group(1)]):.4f}\r\n:".encode()
-        if found := re.fullmatch(r"([A-Z]{2}) (-?[\d.]+)", command):
-            self.held[found.group(1)] = found.group(2)
+        if result := re.fullmatch(r"(TS|SC)X", command):
+            return f" {int(self.held[result.group(1)]):03d}\r\n:".encode()
+        if result := re.fullmatch(r"([A-Z]{2}) \?", command):
+            return f" {float(self.held[result.group(1)]):.4f}\r\n:".encode()
+        if result := re.fullmatch(r"([A-Z]{2}) (-?[\d.]+)", command):
+            self.held[result.group(1)] = result.group(2)
             return b":"
         return self.act(command)
 
@@ -214,8 +214,8 @@ class Board:
         return self.line(command)
 
     def line(self, command: str) -> bytes:
-        if found := re.fullmatch(r"\$J=G91G21A(-?[\d.]+)F([\d.]+)", command):
-            self.jogs.append((float(found.group(1)), float(found.group(2))))
+        if result := re.fullmatch(r"\$J=G91G21A(-?[\d.]+)F([\d.]+)", command):
+            self.jogs.append((float(result.group(1)), float(result.group(2))))
             self.place += self.jogs[-1][0]
             self.state, self.stays = "Jog", 3
             return b"ok\r\n"
@@ -223,8 +223,8 @@ class Board:
             return "".join(f"${n}={v}\r\n" for n, v in self.settings.items()).encode() + b"ok\r\n"
         if command == "$I":
             return b"[VER:1.1h.20190830:]\r\n[OPT:V,15,128]\r\nok\r\n"
-        if found := re.fullmatch(r"\$(\d+)=([\d.]+)", command):
-            self.settings[found.group(1)] = found.group(2)
+        if result := re.fullmatch(r"\$(\d+)=([\d.]+)", command):
+            self.settings[result.group(1)] = result.group(2)
             return b"ok\r\n"
         if command == "$SLP":
             self.state = "Sleep"

@@ -21,7 +21,7 @@ SHARES = (0.93, 0.97)  # limits for the share of nominal 95 % intervals that con
 def first_and_long(each: Iterable[object]) -> list[object]:
     """Return values of a parameter: the first in `make test`, the others in `make test-slow`."""
     first, *others = each
-    return [first, *(pytest.param(one, marks=pytest.mark.slow) for one in others)]
+    return [first, *(pytest.param(other, marks=pytest.mark.slow) for other in others)]
 
 
 def share_limits(trials: int, nominal: float = 0.95) -> tuple[float, float]:

@@ -30,9 +30,9 @@ class Answer:
         """Return the one object on stdout."""
         assert self.out.count("\n") == 1
         assert self.out.endswith("}\n")
-        held = json.loads(self.out)
-        assert isinstance(held, dict)
-        return held
+        values = json.loads(self.out)
+        assert isinstance(values, dict)
+        return values
 
     def data(self) -> dict[str, Any]:
         """Return the values for programs of the object on stdout."""
@@ -53,7 +53,7 @@ class Undrift:
         with widths.watching():
             code = run([str(word) for word in words])
         out, err = self.capsys.readouterr()
-        assert not (found := widths.differences()), "\n".join(found)
+        assert not (result := widths.differences()), "\n".join(result)
         return Answer(code, out, PROGRESS.sub("", err))
 
     def good(self, *words) -> Answer:
@@ -82,13 +82,6 @@ def contents(folder: Path) -> dict[str, bytes | None]:
         str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None
         for path in sorted(folder.rglob("*"))
     }
-
-
-def corrected_csv(folder: Path, path: Path) -> Record:
-    """Write the demo's corrected trial as CSV."""
-    record = read_record(folder / "corrected.parquet")
-    write_record(record, path)
-    return record
 
 
 def lines_of(path: Path) -> list[list[str]]:

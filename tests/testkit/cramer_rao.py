@@ -38,12 +38,6 @@ def information(design: Array, covariance: Array) -> Array:
     return np.einsum("kip,kiq->pq", blocks, np.linalg.solve(covariance, blocks))
 
 
-def cramer_rao(fisher: Array, wanted: int) -> Array:
-    """Return the bound of the first ``wanted`` parameters, the rest being nuisance (Schur complement)."""
-    a, b, c = fisher[:wanted, :wanted], fisher[:wanted, wanted:], fisher[wanted:, wanted:]
-    return np.linalg.inv(a - b @ np.linalg.solve(c, b.T)) if len(c) else np.linalg.inv(a)
-
-
 def carried(g: Function, x: Array, steps: Array | float, covariance: Array) -> Array:
     """Return the standard deviations of g(x), to first order."""
     j = jacobian(g, x, steps)

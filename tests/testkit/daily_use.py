@@ -69,9 +69,9 @@ def simulate_daily_use(
         shift = aged + settings.turn_on * rng.standard_normal(3)
         motion = motions[int(rng.integers(len(motions)))] if motions else draw_day(rng, settings)
         today = replace(device, gyro=device.gyro.shifted(shift))
-        made = simulate_device(today, motion, rng=rng, temp_c=board_temperature(motion, rng, settings))
+        simulation = simulate_device(today, motion, rng=rng, temp_c=board_temperature(motion, rng, settings))
         session = Session(
-            kind="thermal", serial=device.serial, gravity_m_s2=motion.gravity_m_s2, records=(made.record,)
+            kind="thermal", serial=device.serial, gravity_m_s2=motion.gravity_m_s2, records=(simulation.record,)
         )
         yield Day(number=number, session=session, shift=shift, aged=aged.copy())
 

@@ -94,15 +94,15 @@ def cuts(log: Path, folder: Path, *, everywhere: bool = False) -> Iterator[Cut]:
         if everywhere or kind == "S":
             for way in WAYS:
                 keeps = not way.startswith(("all", "contents"))
-                held = {
+                values = {
                     name: _left(content, way)
                     for name, content in (names if keeps else certain_names).items()
                     if keeps or _parents(name) <= certain_folders
                 }
-                key = (len(marks), *sorted(held.items()))
+                key = (len(marks), *sorted(values.items()))
                 if key not in seen_before:
                     seen_before.add(key)
-                    yield Cut(tuple(marks), held, way)
+                    yield Cut(tuple(marks), values, way)
         if kind == "K":
             marks.append(number)
         elif kind == "C":

@@ -60,13 +60,13 @@ class Block:
 
 def blocks_of(text: str) -> list[Block]:
     """Return the blocks of a page that have a meaning."""
-    found, end = [], 0
+    results, end = [], 0
     for match in BLOCK.finditer(text):
         marks = dict(re.findall(r"^<!-- ([a-z]+): *(.*?) *-->$", match.group(1), re.M))
         follows = not text[end : match.start()].strip()
-        found.append(Block(match.group(2), match.group(3), text.count("\n", 0, match.start(2)) + 1, marks, follows))
+        results.append(Block(match.group(2), match.group(3), text.count("\n", 0, match.start(2)) + 1, marks, follows))
         end = match.end()
-    return found
+    return results
 
 
 def lines_of(text: str) -> list[str]:
@@ -132,8 +132,8 @@ def words_of(line: str) -> list[str]:
     """Return the words of a command, names of files completed."""
     words = []
     for word in shlex.split(line, comments=True):
-        found = sorted(glob.glob(word)) if "*" in word else []
-        words += found or [word]
+        result = sorted(glob.glob(word)) if "*" in word else []
+        words += result or [word]
     return words
 
 
@@ -194,7 +194,7 @@ def _phone(path: Path) -> None:
     device, rng = _device()
     true = true_calibration(device, temp_c=25.0)
     record = undrift.simulate_session("ferraris", device, rng=rng, labelled=False).records[0]
-    with zipfile.ZipFile(path, "w") as held:
+    with zipfile.ZipFile(path, "w") as values:
         for name, head, unit, raw, of in (
             ("Gyroscope", "Gyroscope", "rad/s", record.gyro, true.gyro),
             ("Accelerometer", "Acceleration", "m/s^2", record.accel, true.accel),
@@ -202,7 +202,7 @@ def _phone(path: Path) -> None:
             table = np.column_stack((record.time, np.asarray(raw) * np.trace(of.matrix) / 3.0))
             names = ['"Time (s)"', *(f'"{head} {axis} ({unit})"' for axis in "xyz")]
             rows = (",".join(f"{x:.9E}" for x in row) for row in table.tolist())
-            held.writestr(f"{name}.csv", "\n".join((",".join(names), *rows, "")))
+            values.writestr(f"{name}.csv", "\n".join((",".join(names), *rows, "")))
 
 
 def _walk(path: Path) -> None:
@@ -277,14 +277,14 @@ def _rest(path: Path) -> None:
     device, rng = _device()
     calibration = undrift.calibrate(undrift.simulate_session("bench", device, rng=rng))
     settings = BenchSettings(first_still_s=300.0)
-    held = undrift.simulate_session("multi_position", device, rng=rng, settings=settings).records[0]
-    rest = slice(0, int(290.0 * held.sample_rate_hz))
+    values = undrift.simulate_session("multi_position", device, rng=rng, settings=settings).records[0]
+    rest = slice(0, int(290.0 * values.sample_rate_hz))
     raw = undrift.Record.from_arrays(
-        gyro=held.gyro[rest],
-        accel=held.accel[rest],
-        time=held.time[rest],
-        gyro_unit=held.gyro_unit,
-        accel_unit=held.accel_unit,
+        gyro=values.gyro[rest],
+        accel=values.accel[rest],
+        time=values.time[rest],
+        gyro_unit=values.gyro_unit,
+        accel_unit=values.accel_unit,
     )
     undrift.write_record(undrift.correct(raw, calibration), path)
 

@@ -39,15 +39,15 @@ def hand_held_log(rng, tremor, *, poses=10, hold_s=(3.0, 7.0), move_s=(0.8, 1.6)
     azimuth = np.arange(poses) * np.pi * (3.0 - np.sqrt(5.0))
     ring = np.sqrt(1.0 - z**2)
     up = rng.permutation(np.column_stack((ring * np.cos(azimuth), ring * np.sin(azimuth), z)))
-    held = [Rotation.align_vectors([[0.0, 0.0, 1.0]], [one])[0] for one in up]
+    values = [Rotation.align_vectors([[0.0, 0.0, 1.0]], [item])[0] for item in up]
     ends = np.cumsum(np.concatenate(([holds[0]], np.column_stack((moves, holds[1:])).ravel())))
     starts = np.concatenate(([0.0], ends[1::2]))
     spans = np.column_stack((starts, ends[::2]))
     t = np.arange(round(ends[-1] * FINE_HZ)) / FINE_HZ
-    knots, turned = [0.0], [held[0]]
+    knots, turned = [0.0], [values[0]]
     for k, (start, stop) in enumerate(spans):
         knots += [start, stop] if k else [stop]
-        turned += [held[k]] * (2 if k else 1)
+        turned += [values[k]] * (2 if k else 1)
     steps = np.searchsorted(knots, t, side="right") - 1
     fraction = np.clip((t - np.take(knots, steps)) / np.diff(knots)[np.minimum(steps, len(knots) - 2)], 0.0, 1.0)
     smooth = np.take(knots, steps) + np.diff(knots)[np.minimum(steps, len(knots) - 2)] * (

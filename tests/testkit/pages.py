@@ -58,8 +58,8 @@ def faults_of(text: str) -> list[str]:
 
 def _open_findings(text: str) -> int:
     """Return the number of findings visible at the verdict without unfolding."""
-    found = re.search(r'<section class="verdict.*?</section>', text, re.S)
-    return 0 if found is None else found[0].partition("<details>")[0].count("<li>")
+    result = re.search(r'<section class="verdict.*?</section>', text, re.S)
+    return 0 if result is None else result[0].partition("<details>")[0].count("<li>")
 
 
 _BESIDE = """[...document.querySelectorAll(".cards :is(th, td)")]
@@ -74,12 +74,12 @@ def browser() -> Iterator[Any]:
         pytest.skip("no chromium on this machine: make test installs it on Debian")
     from playwright.sync_api import sync_playwright
 
-    with sync_playwright() as made:
-        held = made.chromium.launch(executable_path=path, args=["--no-sandbox", "--disable-gpu"])
+    with sync_playwright() as result:
+        values = result.chromium.launch(executable_path=path, args=["--no-sandbox", "--disable-gpu"])
         try:
-            yield held
+            yield values
         finally:
-            held.close()
+            values.close()
 
 
 def seen_in(held: Any, page: Path, *, judged: Container[tuple[int, str]] = CORNERS) -> list[str]:
@@ -96,20 +96,20 @@ def seen_in(held: Any, page: Path, *, judged: Container[tuple[int, str]] = CORNE
         tab.set_viewport_size({"width": width, "height": 900})
         for scheme in SCHEMES:
             tab.emulate_media(color_scheme=scheme)
-            found, where = tab.evaluate(_MEASURED), f"{page.name} at {width} px, {scheme}"
-            if found["beyond"] > 0:
-                wrong.append(f"{where}: {found['beyond']} px beyond the screen")
-            if width == min(WIDTHS) and found["least"] < LEAST_PX:
-                wrong.append(f"{where}: text of {found['least']:.2f} px in a figure")
+            result, where = tab.evaluate(_MEASURED), f"{page.name} at {width} px, {scheme}"
+            if result["beyond"] > 0:
+                wrong.append(f"{where}: {result['beyond']} px beyond the screen")
+            if width == min(WIDTHS) and result["least"] < LEAST_PX:
+                wrong.append(f"{where}: text of {result['least']:.2f} px in a figure")
             if width == min(WIDTHS) and (count := tab.evaluate(_BESIDE)):
                 wrong.append(f"{where}: {count} cells of tables wait beside the screen")
             if (width, scheme) not in judged:
                 continue
             violations = Axe().run(tab, options={"resultTypes": ["violations"]}).response["violations"]
             wrong += [
-                f"{where}: {one['id']}, {one['nodes'][0]['html'][:80]}"
-                for one in violations
-                if one["impact"] in ("serious", "critical")
+                f"{where}: {violation['id']}, {violation['nodes'][0]['html'][:80]}"
+                for violation in violations
+                if violation["impact"] in ("serious", "critical")
             ]
     tab.evaluate("for (const folded of document.querySelectorAll('details')) folded.open = false")
     tab.set_viewport_size({"width": PRINTED_PX, "height": 1000})

@@ -28,14 +28,14 @@ def cut_texts(figure: "Figure") -> list[str]:
     for axes in figure.axes:
         hidden |= {id(label) for axis in (axes.xaxis, axes.yaxis) for label in _outside(axis)}
         hidden |= set() if axes.axison else {id(text) for text in axes.findobj(Text) if text not in axes.texts}
-    found = []
+    results = []
     for text in figure.findobj(Text):
         if id(text) in hidden or not text.get_visible() or not text.get_text().strip():
             continue
         box = text.get_window_extent(canvas.get_renderer())
         over = max(reach.x0 - box.x0, box.x1 - reach.x1, reach.y0 - box.y0, box.y1 - reach.y1)
         if box.width > 0.0 and over > edge:
-            found.append(
+            results.append(
                 f"{text.get_text()!r} by {over / figure.dpi * 72.0:.1f} pt in {figures._describe_figure(figure)[:60]}"
             )
     legends = [*figure.legends, *(axes.get_legend() for axes in figure.axes if axes.get_legend() is not None)]
@@ -43,10 +43,10 @@ def cut_texts(figure: "Figure") -> list[str]:
         figure._suptitle,
         *(part for axes in figure.axes for part in (axes.title, axes._left_title, axes._right_title)),
     ]
-    for title in (one for one in titles if one is not None and one.get_text()):
+    for title in (legend for legend in titles if legend is not None and legend.get_text()):
         box = title.get_window_extent(canvas.get_renderer()).shrunk(0.9, 0.9)
-        found += [f"legend on {title.get_text()!r}" for one in legends if one.get_window_extent().overlaps(box)]
-    return found
+        results += [f"legend on {title.get_text()!r}" for legend in legends if legend.get_window_extent().overlaps(box)]
+    return results
 
 
 def _outside(axis: "Axis") -> Iterator[Any]:
@@ -60,14 +60,14 @@ def _outside(axis: "Axis") -> Iterator[Any]:
 @contextmanager
 def pictures_looked_at() -> Iterator[list[str]]:
     """Collect the faults of all pictures drawn in the meantime, on pages and in files."""
-    found: list[str] = []
+    result: list[str] = []
     saved = figures._saved
 
     def looked_at(figure: "Figure", *words: Any, **how: Any) -> bytes:
         data = saved(figure, *words, **how)
-        found.extend(cut_texts(figure))
+        result.extend(cut_texts(figure))
         return data
 
-    with pytest.MonkeyPatch.context() as held:
-        held.setattr(figures, "_saved", looked_at)
-        yield found
+    with pytest.MonkeyPatch.context() as values:
+        values.setattr(figures, "_saved", looked_at)
+        yield result

@@ -82,13 +82,13 @@ def fit_as_published(record: Record, gravity: float, rest_s: float = 50.0) -> Pu
     level = variance_with_rest(record, rest_s)
     shortest = round(record.sample_rate_hz)
     multiples = tuple(float(m) for m in range(2, 11))
-    found: list[tuple[float, list[tuple[int, int]], TriadFit]] = []
+    result: list[tuple[float, list[tuple[int, int]], TriadFit]] = []
     for multiple in multiples:
         stills = [(int(a), int(b)) for a, b in level.below(multiple * level.at_rest, shortest)]
         reading = np.concatenate([level.values[a : a + shortest] for a, _ in stills])
         fit = fit_lengths(reading, gravity, record.accel_unit)
-        found.append((0.5 * float(fit.residuals @ fit.residuals), stills, fit))
-    _, stills, accel = min(found, key=lambda one: one[0])
+        result.append((0.5 * float(fit.residuals @ fit.residuals), stills, fit))
+    _, stills, accel = min(result, key=lambda one: one[0])
     used = [Still(start=a, stop=b) for a, b in stills]
     moves = Moves([record], used)
     n = gravity_directions(moves, accel.model)[0]
@@ -105,6 +105,6 @@ def fit_as_published(record: Record, gravity: float, rest_s: float = 50.0) -> Pu
     size = float(np.cbrt(abs(np.linalg.det(start))))
     solved = least_squares(missed, start.ravel() / size, method="lm", xtol=1e-12, ftol=1e-12)
     return PublishedFit(
-        multiples=multiples, stills=[len(one[1]) for one in found], costs=[one[0] for one in found], accel=accel,
+        multiples=multiples, stills=[len(one[1]) for one in result], costs=[one[0] for one in result], accel=accel,
         gyro_matrix=solved.x.reshape(3, 3) * size, gyro_offset=offset, moves=len(moves.first),
     )  # fmt: skip

@@ -33,7 +33,7 @@ def soaked(
             steps.append((soak, rate, *_mean(record, turn.start + 50, turn.stop)))
         rests += [(soak, k, *_mean(record, s.start + 50, s.stop)) for k, s in enumerate(motion.stills)]
     n, m = len(steps), len(rests)
-    made = RateSteps(
+    result = RateSteps(
         session=np.zeros(n, int),
         soak=np.array([s[0] for s in steps]),
         rate_b=np.array([s[1] for s in steps]),
@@ -41,7 +41,7 @@ def soaked(
         gyro=np.array([s[3] for s in steps]),
         gyro_variance=np.array([s[5] for s in steps]),
     )
-    return made, RestBlocks(
+    return result, RestBlocks(
         session=np.zeros(m, int),
         pose=np.array([r[1] for r in rests]),
         time=np.arange(m, dtype=float),

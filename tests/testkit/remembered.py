@@ -57,8 +57,8 @@ def remembered(function: Callable[..., T], folder: Path) -> Callable[..., T]:
 
     @wraps(function)
     def once(*args: object, **words: object) -> T:
-        named = sorted((name, word) for name, word in words.items() if name != "progress")
-        path = folder / f"{function.__name__}-{_hash_of((args, named))}"
+        finding = sorted((name, word) for name, word in words.items() if name != "progress")
+        path = folder / f"{function.__name__}-{_hash_of((args, finding))}"
         if path not in results:
             with locked(path):
                 if not path.exists():

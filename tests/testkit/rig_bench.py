@@ -193,6 +193,6 @@ def gain_of(session, turn_rates=None):
     means = np.array([session.records[t.recording].gyro[t.start : t.stop, axis].mean() for t in turns])
     shape = np.stack((rates, np.ones_like(rates)), axis=1)
     fit, _, _, _ = np.linalg.lstsq(shape, means, rcond=None)
-    left = means - shape @ fit
-    scatter = math.sqrt(max(left @ left / max(1, len(rates) - 2), NOISE_DPS**2 / 50))
+    residual = means - shape @ fit
+    scatter = math.sqrt(max(residual @ residual / max(1, len(rates) - 2), NOISE_DPS**2 / 50))
     return fit[0], scatter * math.sqrt(np.linalg.inv(shape.T @ shape)[0, 0])

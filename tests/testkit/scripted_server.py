@@ -174,13 +174,13 @@ class VirtualScripted(Scripted):
 
 def transcript(lines: Iterable[tuple[str, bytes]]) -> tuple[Answer, list[str]]:
     """Return an answer that plays a dialogue in its order, and the list of what did not fit it."""
-    left = list(lines)
+    residual = list(lines)
     wrong: list[str] = []
 
     def answer(command: str) -> bytes:
-        if not left or left[0][0] != command:
-            wrong.append(f"heard {command!r}, wanted {left[0][0] if left else 'nothing'!r}")
+        if not residual or residual[0][0] != command:
+            wrong.append(f"heard {command!r}, wanted {residual[0][0] if residual else 'nothing'!r}")
             return b"?"
-        return left.pop(0)[1]
+        return residual.pop(0)[1]
 
     return answer, wrong

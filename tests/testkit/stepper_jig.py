@@ -2,15 +2,24 @@
 
 import numpy as np
 
-from testkit.axis_lag import find_axis_lag
 from testkit.data import data_path
-from undrift.arrays import runs
+from undrift.arrays import FloatArray, runs
 from undrift.record import Record, Turn
+from undrift.sync import LONGEST_STEP, Lag, PoseRates, lag_of
 
 RUNS = ("giro_test_filt", "giro_test_non_filt")
 # The stepper swings for about a second after each ramp: that second is left out for the BNO. On the LSM vibration of 10-50 deg/s
 # runs through the whole dwell and the longest mean is the best one.
 GUARD_S = {"bno": 1.0, "lsm": 0.5}
+
+
+def find_axis_lag(record: Record, time: FloatArray, angle: FloatArray) -> Lag:
+    """Find the lag against the angle (M,), rad."""
+    step = np.diff(time)
+    valid = np.isfinite(np.diff(angle)) & (step <= LONGEST_STEP * np.median(step))
+    rate = np.where(valid, np.diff(angle) / step, 0.0)[:, None]
+    rates = PoseRates(start=time[:-1], stop=time[1:], rate=rate, valid=valid)
+    return lag_of(record.time, np.asarray(record.gyro), rates, average_s=0.1)
 
 
 def clock_lag(run, sensor="bno"):

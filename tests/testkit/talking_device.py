@@ -27,7 +27,7 @@ class TalkingDevice:
         self.port: int = self._listener.getsockname()[1]
         self._clients: list[socket.socket] = []
         self._end = threading.Event()
-        self._threads = [threading.Thread(target=one) for one in (self._accept, self._talk)]
+        self._threads = [threading.Thread(target=item) for item in (self._accept, self._talk)]
         for thread in self._threads:
             thread.start()
 

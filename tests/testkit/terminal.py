@@ -63,22 +63,22 @@ class Widths:
     def differences(self) -> list[str]:
         """Return the differences of the terminals from the whole text."""
         texts = ((text.getvalue(), self.whole.getvalue(), width) for width, text in self.narrow.items())
-        return [line for each in texts for line in differences(*each, spare=self._spare)]
+        return [line for item in texts for line in differences(*item, spare=self._spare)]
 
     def _on_all(self, function: Callable[..., None]) -> Callable[..., None]:
         @wraps(function)
         def shown(*args: Any, **words: Any) -> None:
-            held = [arg if isinstance(arg, str) or not hasattr(arg, "__next__") else list(arg) for arg in args]
+            values = [arg if isinstance(arg, str) or not hasattr(arg, "__next__") else list(arg) for arg in args]
             if not self._within:
                 self._within = True
                 if function.__name__ == "show_table":  # a stacked table leaves out heads that have no cell
-                    heads = (head for head, *cells in zip(held[1], *held[2], strict=True) if not any(cells))
+                    heads = (head for head, *cells in zip(values[1], *values[2], strict=True) if not any(cells))
                     self._spare += " ".join(("", *heads))
                 for place, width in ((self.whole, 400), *((text, width) for width, text in self.narrow.items())):
                     with on(place, width):
-                        function(*held, **words)
+                        function(*values, **words)
                 self._within = False
-            function(*held, **words)
+            function(*values, **words)
 
         return shown
 

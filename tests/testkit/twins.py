@@ -104,5 +104,5 @@ def carried_means(rate, force, of_rate, of_force, time, first, weight):
     by_rate = np.cumsum(np.einsum("nij,nc,n->nijc", middle, of_rate, np.diff(time, prepend=time[0])), axis=0)
     turned = np.cross(by_rate.reshape(len(time), 3, -1), carried[:, :, None], axis=1)
     fixed = np.einsum("nij,nc->nijc", matrix, of_force).reshape(len(time), 3, -1)
-    sums = [[np.tensordot(weight, each[k : k + len(weight)], 1) for k in first] for each in (carried, turned, fixed)]
-    return tuple(np.array(each) for each in sums)
+    sums = [[np.tensordot(weight, item[k : k + len(weight)], 1) for k in first] for item in (carried, turned, fixed)]
+    return tuple(np.array(item) for item in sums)

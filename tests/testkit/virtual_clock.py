@@ -80,9 +80,9 @@ class VirtualClock(Clock):
 
     def repeat(self, step: Step, name: str) -> Repeat:
         """Take a step with the next wait, and whenever it is due again."""
-        made = VirtualRepeat(step, self._later)
-        self._later(0.0, made)
-        return made
+        result = VirtualRepeat(step, self._later)
+        self._later(0.0, result)
+        return result
 
     def condition(self) -> threading.Condition:
         """Return a condition whose waits take this clock's time."""

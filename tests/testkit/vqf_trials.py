@@ -56,20 +56,20 @@ def by_itself(record: Record) -> np.ndarray:
     from vqf import VQF
 
     record = record.in_si()
-    made = VQF(1.0 / record.sample_rate_hz)
-    return made.updateBatch(np.ascontiguousarray(record.gyro), np.ascontiguousarray(record.accel))["quat6D"]
+    result = VQF(1.0 / record.sample_rate_hz)
+    return result.updateBatch(np.ascontiguousarray(record.gyro), np.ascontiguousarray(record.accel))["quat6D"]
 
 
 @cache
 def rows() -> tuple[Row, ...]:
     """Return the errors of every trial."""
-    made = []
+    results = []
     for device in DEVICES:
         pairs, names = of_device(device)
         records, references = zip(*pairs, strict=True)
         adc = device_adc(records)
-        held = leave_one_out(records, references, adc=adc)
-        for name, (record, reference), fit in zip(names, pairs, held, strict=True):
+        values = leave_one_out(records, references, adc=adc)
+        for name, (record, reference), fit in zip(names, pairs, values, strict=True):
             model = Calibration(
                 device=device, reference_temp_c=np.nan, gravity_m_s2=STANDARD_GRAVITY, gyro=fit.model, adc=adc
             )
@@ -80,8 +80,8 @@ def rows() -> tuple[Row, ...]:
                 "prior": orient(done, None, OrientSettings(method="vqf"), gyro_model=fit.model).q_nb,
                 "strapdown": orient(done, None, gyro_model=fit.model).q_nb,
             }
-            made.append(Row(name, device, **{key: total_error_deg(q, reference) for key, q in tracks.items()}))
-    return tuple(made)
+            results.append(Row(name, device, **{key: total_error_deg(q, reference) for key, q in tracks.items()}))
+    return tuple(results)
 
 
 def main(path: str) -> None:
