@@ -53,17 +53,6 @@ def parts(model: TriadModel | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return 1.0 / np.diag(matrix), matrix / np.diag(matrix)
 
 
-def test_the_opening_rest_has_the_published_variance() -> None:
-    accel = session().accel
-    assert accel is not None
-    rest = accel[:5001]
-    variance = rest.var(axis=0, ddof=1)
-    np.testing.assert_allclose(variance, [11.169194, 10.148628, 11.432989], atol=5e-7)
-    level = variance_with_rest(session()).at_rest
-    show("level at rest, counts^2", level, 18.933007)
-    assert abs(level - 18.933007) < 5e-7
-
-
 def test_the_table_of_thresholds_is_the_published_one() -> None:
     fit = published()
     assert fit.stills == [42, 40, 39, 38, 38, 38, 38, 38, 38]

@@ -353,19 +353,6 @@ def test_a_planar_motion_keeps_a_prior_and_names_its_elements():
     assert np.abs(fit.triad.model.matrix - np.eye(3)).max() < 0.03
 
 
-@pytest.mark.slow
-def test_a_fit_says_that_samples_were_lost_and_rows_repeated():
-    (record,), (reference,) = recordings((97,), Device(forward=FORWARD, noise=1e-3), optics_noise=1e-3)
-    jumped = replace(record, time=record.time + 0.3 * (record.time > 38.0))
-    findings = fit_reference([jumped], [reference]).triad.verdict.findings
-    assert only(findings, "sync.out_of_step").level == "warn"
-    gyro = np.vstack((record.gyro, np.tile(record.gyro[-1], (300, 1))))
-    accel = np.vstack((record.accel, np.tile(record.accel[-1], (300, 1))))
-    time = np.append(record.time, record.time[-1] + np.arange(1, 301) / record.sample_rate_hz)
-    padded = replace(record, time=time, gyro=gyro, accel=accel)
-    assert only(fit_reference([padded], [reference]).triad.verdict.findings, "recording.padded").level == "info"
-
-
 def test_undetermined_elements_are_no_difference() -> None:
     rng = np.random.default_rng(4)
     power = np.array([np.diag(1e-6 + np.eye(3)[axis]) for axis in range(3)])  # each recording turns about one axis

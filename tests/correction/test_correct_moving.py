@@ -13,8 +13,6 @@ from testkit import twins
 from testkit.full_calibration import ROUNDINGS, device, record, tables
 from undrift.correction.correct import Corrector, correct_checked
 from undrift.correction.rest import rest_offset
-from undrift.export.c import export_c
-from undrift.export.losses import losses
 from undrift.io.store import read_calibration, write_calibration
 from undrift.model import CODE_NAMES, MATRIX_NAMES, MOVING_NAMES, OFFSET_NAMES
 from undrift.record import Still
@@ -138,13 +136,3 @@ def test_fitted_code_offset_replaces_half_a_step(adc):
     plain = moving(g=False)
     c, r = replace(plain, adc=adc), turns_and_rests(plain)
     assert correct_checked(r, c).record.gyro.tobytes() == correct_checked(r, plain).record.gyro.tobytes()
-
-
-def test_exports_hold_the_offset_in_motion_and_say_so():
-    c = moving()
-    everything = " ".join(losses(c, frozenset()))
-    assert f"up to {np.degrees(0.03):.2g} deg/s" in everything
-    assert "code step" in everything
-    said = " ".join(export_c(c).not_carried)  # the C source has both
-    assert "rates at rest" not in said
-    assert "code step" not in said

@@ -21,7 +21,6 @@ from undrift.drift.fit import (
     fit_drift,
     table_nodes,
 )
-from undrift.drift.offset import StaticSettings
 from undrift.drift.rates import fit_dynamic, fit_scale, measured_rate, prepared
 from undrift.drift.verdict import without_tables
 from undrift.errors import InputError, NotObservable
@@ -186,14 +185,6 @@ def test_sessions_over_days_state_the_turn_on_scatter():
     assert (stated > 5.0 * alone).all()
     assert any("Turn-on" in item.text for item in one.verdict.findings)
     assert not any("Turn-on" in item.text for item in six.verdict.findings)
-
-
-def test_a_warm_up_is_fitted_where_it_is_asked_for():
-    days = [warmed(30, start_c=8.0), warmed(31, start_c=18.0), warmed(32, start_c=28.0)]
-    asked = DriftSettings(static=StaticSettings(warm_up=True))
-    table = fit_drift(days, CALIBRATION, settings=asked).calibration.drift.static
-    assert table.warm_up is not None
-    assert fit_drift(days, CALIBRATION).calibration.drift.static.warm_up is None
 
 
 def test_stated_lag_comes_with_its_smoothing(session):

@@ -8,7 +8,6 @@ import pytest
 from testkit.rate_steps import GRID, SOAKS, computed, reading
 from undrift.drift.rates import fit_scale, prepared, soak_matrices
 from undrift.errors import InputError, NotObservable
-from undrift.model import StaticDrift
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration, true_tables
 
@@ -141,13 +140,3 @@ def test_soaks_given_in_any_order_come_back_by_temperature():
         model.gyro, np.zeros((1, 3)), np.array([soaks.temp_c[0] - 25.0])
     )
     assert np.allclose(soaks.forward[0][:, 0], lone[0], rtol=1e-5, atol=1e-3)
-
-
-def test_the_offset_table_is_held_at_its_ends():
-    model = device()
-    steps = computed(model, SOAKS, np.random.default_rng(1), rates=FEW, noise_dps=1e-6)
-    table = StaticDrift(temp_c=[30.0, 40.0], gyro_offset=np.zeros((2, 3)))
-    fit = fit_scale(
-        prepared(steps, true_calibration(model).gyro, static=table), true_calibration(model).gyro, temp_c=NODES
-    )
-    assert np.isfinite(fit.drift.gyro_matrix).all()
