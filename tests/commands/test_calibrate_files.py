@@ -73,7 +73,7 @@ def test_a_calibration_keeps_the_map_and_the_next_commands_need_none(undrift, bo
     np.testing.assert_array_equal(one.gyro, two.gyro)
     np.testing.assert_array_equal(one.gyro, three.gyro)
     undrift.good("orient", log, *c, "-o", board / "o.csv")
-    assert undrift.good("noise", log, *c, "--rest-s", "0:5", "--json").json()["gyro"]
+    assert undrift.good("noise", log, *c, "--rest-s", "0:5", "--json").data()["gyro"]
 
 
 @pytest.mark.parametrize("command", ["correct", "orient", "noise", "validate"])

@@ -165,21 +165,6 @@ class Origin:
     date: str = field(default_factory=today)
 
 
-def summary_of(report: Any) -> Summary:
-    """Return a report in the form of this module, for the commands that have not moved yet."""
-    sections = [
-        Section(title=table.title, columns=tuple(table.columns), rows=tuple(map(tuple, table.cells)), folded=folded,
-                text=(table.note,) if table.note else ())
-        for tables, folded in ((report.tables, False), (report.details, True))
-        for table in tables
-        if table.rows or table.note
-    ]  # fmt: skip
-    return Summary(
-        title=report.title, answer=report.answer, data=report.data, sections=tuple(sections), notes=tuple(report.notes),
-        verdict=Verdict.of(*report.findings), written=tuple(report.written), next=tuple(report.next_command),
-    )  # fmt: skip
-
-
 def table_section(title: str, items: Iterable[Item], cells: Cells[Item], **more: Any) -> Section:
     """Return a section with one row per item. Each column has a head and a function that returns its cell."""
     rows = tuple(tuple(cell(item) for _, cell in cells) for item in items)

@@ -52,10 +52,10 @@ def page_text(report: Report, origin: Origin | None = None) -> str:
 
 def notebook_text(report: Report) -> str:
     """Return a report as a part of a notebook: answer, verdict with its first findings, and tables."""
-    parts = [f"<h4>{escape(report.title)}</h4><p>{escape(report.answer)}</p>"]
+    parts = [f"<h4>{escape(report.title)}</h4><p>{escape(report.answer)}</p>"] if report.answer else []
     if report.verdict_shown:
-        parts.append(f"<p>Verdict: {report.status}</p>")
-    parts += (f"<li>{escape(item.text)}</li>" for item in report.ordered_findings[:SHOWN_FIRST])
+        items = "".join(f"<li>{escape(item.text)}</li>" for item in report.ordered_findings[:SHOWN_FIRST])
+        parts.append(f"<p>Verdict: {report.status}</p><ul>{items}</ul>")
     for table in report.tables:
         heads = "".join(f"<th>{escape(head)}</th>" for head in table.columns)
         rows = ("".join(f"<td>{escape(cell)}</td>" for cell in row) for row in table.cells)
