@@ -1,7 +1,6 @@
 """House rules that a machine can check: docstrings, sizes, words, exports, constants, findings."""
 
 import ast
-import configparser
 import re
 import tomllib
 from collections.abc import Iterator
@@ -213,22 +212,3 @@ def test_the_extra_formats_names_what_the_readers_import() -> None:
     readers = "".join((PACKAGE / "io" / name).read_text() for name in ("libraries.py", "arrays.py"))
     imported = set(re.findall(r'\blibrary\("(\w+)', readers))
     assert imported == named
-
-
-def test_a_stage_that_a_page_may_import_is_a_type_of_what_it_shows() -> None:
-    """The exceptions of the contract "shown": all but the named one stand under TYPE_CHECKING."""
-    contracts = configparser.ConfigParser()
-    contracts.read(ROOT / ".importlinter")
-    lines = contracts["importlinter:contract:shown"]["ignore_imports"].split("\n")
-    arrows = {tuple(line.split(" -> ")) for line in lines if line}
-    at_run_time = {
-        (module, node.module)
-        for module, _ in arrows
-        for node in ast.parse((ROOT / "src" / f"{module.replace('.', '/')}.py").read_text()).body
-        if isinstance(node, ast.ImportFrom)
-    }
-    print(f"  imports of stages in cli, web and report: {len(arrows)}, at run time {len(arrows & at_run_time)}")
-    assert arrows & at_run_time == {
-        ("undrift.report.figures", "undrift.io.inspect"),
-    }
-    assert len(arrows) <= 16
