@@ -39,7 +39,7 @@ def test_every_kind_of_error_has_its_exit_code_and_one_line(undrift, monkeypatch
     def fail(*_, **__):
         raise error
 
-    monkeypatch.setattr(program, "app", fail)
+    monkeypatch.setattr("undrift.cli.call.call", fail)
     answer = undrift("info")
     assert (answer.code, answer.out, answer.err) == (code, "", line)
 
@@ -48,7 +48,7 @@ def test_a_defect_is_one_line_too_and_shows_its_place_on_request(undrift, monkey
     def fail(*_, **__):
         raise ZeroDivisionError("float division")
 
-    monkeypatch.setattr(program, "app", fail)
+    monkeypatch.setattr("undrift.cli.call.call", fail)
     monkeypatch.delenv("UNDRIFT_TRACEBACK", raising=False)
     assert "internal error: ZeroDivisionError: float division. Please report it" in undrift.refused("info")
     monkeypatch.setenv("UNDRIFT_TRACEBACK", "1")
@@ -127,7 +127,7 @@ def test_as_a_process_results_go_to_stdout_and_errors_to_stderr(tmp_path):
     path = broad_file("02_undisturbed_slow_rotation_B")
     done = process("info", path, "--json")
     assert (done.returncode, errors_in(done.stderr)) == (0, "")
-    assert json.loads(done.stdout)["rows"] == 53240
+    assert json.loads(done.stdout)["data"]["rows"] == 53240
     done = process("orient", path, "-o", "angles.csv", cwd=tmp_path)
     assert (done.returncode, errors_in(done.stderr)) == (0, "")
     assert [p.name for p in tmp_path.iterdir()] == ["angles.csv"]

@@ -4,7 +4,7 @@ import gzip
 
 import pytest
 
-from testkit.command_line import at_rest, contents, lines_of, write_lines
+from testkit.command_line import at_rest, contents, lines_of, row_of, write_lines
 from undrift.io.formats import read_record, write_record
 
 COMMANDS = ("info", "calibrate", "correct", "orient", "validate", "noise")
@@ -230,9 +230,9 @@ def test_a_wrongly_named_channel_is_pointed_at(undrift, bench, sound, tmp_path):
     lines[0] = [head.replace("gyro", "rot") for head in lines[0]]
     path = tmp_path / "r.csv"
     write_lines(path, lines)
-    answer = undrift.good("info", path)
-    assert "gyro: none" in answer.out
-    assert "rot_x_count, rot_y_count, rot_z_count" in answer.out
+    told = undrift.good("info", path, "--json").json()
+    assert row_of(told, "content", "unit of gyro")["value"] == "no readings"
+    assert any("rot_x_count, rot_y_count, rot_z_count" in note for note in told["notes"])
     assert "no gyroscope readings" in undrift.refused(*words_for("orient", path, bench, tmp_path))
     assert "gyroscope" in undrift.refused(*words_for("validate", path, bench, tmp_path))
     done = undrift.good(*words_for("correct", path, bench, tmp_path))

@@ -38,8 +38,9 @@ def test_a_task_and_a_preset_make_a_recording_with_its_truth(
 
     assert run(["info", str(device), "--json"]) == 0
     described = json.loads(capsys.readouterr().out)
-    assert described["kind"] == "device"
-    assert {"scale", "low_pass", "warm_up", "adc"} <= set(described["effects"]["gyro"])
+    assert described["data"]["kind"] == "device"
+    effects = {row["effect"] for row in described["tables"]["device_model"] if row["part"] == "gyro"}
+    assert {"scale", "low_pass", "warm_up", "adc"} <= effects
     assert run(["info", str(device)]) == 0
     assert "low_pass" in capsys.readouterr().out
 

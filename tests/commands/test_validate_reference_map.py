@@ -27,7 +27,7 @@ def test_both_maps_are_proposed_and_validate_takes_them(undrift, tmp_path, recor
     assert "a table of orientations" in described
     assert "--reference-map map.toml" in described
     undrift.good("info", true, "--write-map", tmp_path / "true.toml")
-    seen = undrift.good("info", true, "--map", tmp_path / "true.toml", "--json").json()
+    seen = undrift.good("info", true, "--map", tmp_path / "true.toml", "--json").data()
     assert (seen["kind"], seen["rows"] > 1000) == ("reference", True)
     words = ("validate", own, "--map", tmp_path / "own.toml", "--reference", true, "--offset", "none")
     answer = undrift(*words, "--reference-map", tmp_path / "true.toml", "--max-lag-s", "1300", "--json")
@@ -52,7 +52,7 @@ repair_time = true
 def test_columns_under_two_header_rows_are_read_by_positions(undrift, tmp_path):
     path = data_path(PENDULUM, "Pendulum_Test02a_Trial1_Segment_1.csv.gz")
     (tmp_path / "map.toml").write_text(PENDULUM_MAP)
-    read = undrift.good("info", path, "--map", tmp_path / "map.toml", "--json").json()
+    read = undrift.good("info", path, "--map", tmp_path / "map.toml", "--json").data()
     assert read["rows"] > 15_000
 
 

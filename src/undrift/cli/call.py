@@ -33,6 +33,7 @@ MOVED = {
     "calibrate": "calibrate:calibrate",
     "certificate": "certificate:certificate",
     "drift": "drift:drift",
+    "info": "info:info",
     "noise": "noise:noise",
     "twin": "twin:twin",
     "mount": "mount:mount",

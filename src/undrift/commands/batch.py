@@ -46,8 +46,11 @@ class Job:
     inputs: str
 
 
-def each_recording(ending: str) -> Callable[[Command], Command]:
-    """Let a command of one recording take several, or a folder. Outputs are NAME and the ending; with "", there are none."""
+def each_recording(ending: str, *, together: tuple[str, ...] = ()) -> Callable[[Command], Command]:
+    """Let a command of one recording take several, or a folder. Outputs are NAME and the ending; with "", there are none.
+
+    With one of the options ``together``, the command is called once with all files.
+    """
 
     def of(command: Command) -> Command:
         signature = inspect.signature(command)
@@ -56,7 +59,8 @@ def each_recording(ending: str) -> Callable[[Command], Command]:
         @wraps(command)
         def called(*paths: Path, scheduler: str | None = None, **values: Any) -> Report:
             output = values.get("output")
-            if len(paths) == 1 and not is_plain_folder(paths[0]) and (output is None or output.suffix):
+            alone = len(paths) == 1 and not is_plain_folder(paths[0]) and (output is None or output.suffix)
+            if alone or any(values.get(name) is not None for name in together):
                 return command(*paths, **values)
             return _call_each(called, paths, values, ending, scheduler)
 
