@@ -27,7 +27,7 @@ def pitch_errors(device, calibration, task, rng):
 
 @pytest.mark.slow
 def test_nine_in_ten_pitch_errors_of_fifty_devices_are_within_the_sentence():
-    within, change_within = [], []
+    within, change_within, sizes = [], [], []
     for seed in range(50):
         rng = np.random.default_rng(seed)
         device = random_device(rng, grade=GRADES[seed % 4])
@@ -43,10 +43,11 @@ def test_nine_in_ten_pitch_errors_of_fifty_devices_are_within_the_sentence():
             ):
                 limit = np.sqrt(np.interp(since[asked], TASK_S, limits**2))
                 kept.append(float((size[asked] <= limit).mean()))
+            sizes.append(float(size[asked][-1] / limit[-1]))
     show("pitch errors within the limits", f"{np.mean(within):.2f}, changes {np.mean(change_within):.2f}", "0.90")
     assert np.mean(within) >= 0.9
     assert np.mean(change_within) >= 0.9
-    assert np.quantile(change_within, 0.1) < 1.0  # the limits are no wider than they must be
+    assert np.mean(sizes) > 0.15  # of the changes: the limits are not much wider than they must be
 
 
 @pytest.fixture(scope="module")
