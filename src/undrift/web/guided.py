@@ -73,14 +73,14 @@ class Guided:
 
     def move(self) -> None:
         """Move the practice device as the guide asks."""
-        device, wanted = self._bench.practice, self.guide.wanted
+        device, guide = self._bench.practice, self.guide
+        wanted, state = guide.wanted, guide.light.state
         if device is None or wanted is None or device.moving:
             return
-        if self.guide is self.faces:
-            device.lay(wanted)
-        elif device.face != f"+{wanted[1]}":
-            device.lay(f"+{wanted[1]}")
-        else:
+        face = wanted if guide is self.faces else f"+{wanted[1]}"
+        if device.face != face or state == "tilted":
+            device.lay(face)
+        elif guide is self.turns and state in ("still", "captured"):  # not before the rest is long enough
             device.turn(wanted[1], math.tau if wanted[0] == "+" else -math.tau)
 
 
