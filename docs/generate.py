@@ -117,11 +117,11 @@ def _table(heads: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
 def commands() -> dict[str, str]:
     """Return a page for each command, and the page that lists them."""
     from undrift.cli import EXAMPLES
-    from undrift.cli.app import COMMANDS, command_line
-    from undrift.commands import GROUPS
+    from undrift.cli.app import COMMANDS
+    from undrift.cli.call import FUNCTIONS, app
 
     pages = {}
-    whole = command_line().generate_docs(heading_level=1).replace("```console", "```text").replace("<", "&lt;")
+    whole = app().generate_docs(heading_level=1).replace("```console", "```text").replace("<", "&lt;")
     whole = whole.replace(" -m sphinx ", " ")  # the call of this program, which usage lines of groups repeat
     parts = re.split(r"^## (undrift \S+)\n", whole, flags=re.M)
     texts = dict(zip(parts[1::2], parts[2::2], strict=True))
@@ -132,7 +132,7 @@ def commands() -> dict[str, str]:
         calls = [line for command in EXAMPLES if command.split()[:1] == [name] for line in EXAMPLES[command]]
         shown = "\n".join(dict.fromkeys(calls))
         pages[f"command-{name}.md"] = (
-            f"{_no_list_of_commands(text, name in GROUPS)}\n\n**Examples**\n\n```text\n{shown}\n```\n"
+            f"{_no_list_of_commands(text, name not in FUNCTIONS)}\n\n**Examples**\n\n```text\n{shown}\n```\n"
         )
     rows = "\n".join(f"| [`undrift {name}`](command-{name}.md) | {text} |" for name, text in COMMANDS.items())
     toc = "\n".join(f"command-{name}" for name in COMMANDS)

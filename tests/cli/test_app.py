@@ -140,7 +140,7 @@ def test_as_a_process_results_go_to_stdout_and_errors_to_stderr(tmp_path):
 
 def test_json_knows_what_results_are_made_of():
 
-    from undrift.base.summary import plain
+    from undrift.report.report import plain
 
     held = {
         "a": np.array([1.0, np.nan]),

@@ -10,11 +10,12 @@ import pytest
 from testkit.command_line import at_rest
 from testkit.data import data_path, show
 from undrift import __version__
-from undrift.cli import EXAMPLES, common
+from undrift.cli import EXAMPLES, screen
 from undrift.cli import app as program
-from undrift.cli.call import MOVED
-from undrift.cli.common import ProgressBar
-from undrift.commands import part_of
+from undrift.cli.call import FUNCTIONS
+from undrift.cli.call import app as command_line
+from undrift.cli.screen import Terminal
+from undrift.screen import part, progress, showing_on
 
 NOBODY = "galil:tcp://127.0.0.1:9?reply_timeout_s=0.2"
 GOOD = {
@@ -60,7 +61,7 @@ BAD = {  # a call that is refused
     "study": "study --preset note --seed -1",
     "demo": "demo --out {here}",
 }
-LEAVES = [name for name in EXAMPLES if name and name not in program.commands.GROUPS]
+LEAVES = list(FUNCTIONS)
 WARM = (
     'columns = { time = "Time", gyro = ["Gx", "Gy", "Gz"], temp = "dTemp" }\n'
     'units = { time = "ms", gyro = "dps", temp = "degC" }\n'
@@ -82,7 +83,7 @@ def test_every_command_is_in_the_tables_of_this_file():
     assert {name.split()[0] for name in EXAMPLES if name} == set(program.COMMANDS)
 
 
-@pytest.mark.parametrize("name", sorted(GOOD.keys() & MOVED.keys()))
+@pytest.mark.parametrize("name", sorted(GOOD))
 def test_a_good_answer_has_the_keys_of_a_report(undrift, words, name):
     answer = undrift(*words(GOOD[name]))
     assert answer.code in (0, 1), answer.err
@@ -116,7 +117,7 @@ def test_every_help_ends_with_examples_that_parse(undrift, name):
         assert len(line) <= 78, "it would be wrapped"
         tokens = shlex.split(line)[1:]
         assert tokens[: len(name.split())] == name.split()
-        program.command_line().parse_args(tokens, exit_on_error=False, print_error=False)
+        command_line().parse_args(tokens, exit_on_error=False, print_error=False)
 
 
 @pytest.mark.parametrize("name", LEAVES)
@@ -133,13 +134,14 @@ def test_the_usage_line_names_what_is_required(undrift, name):
 
 def test_progress_is_a_line_now_and_then_where_stderr_is_no_terminal(monkeypatch, capsys):
     clock = SimpleNamespace(now=100.0)  # a busy machine does not change what is printed
-    monkeypatch.setattr(common, "time", SimpleNamespace(monotonic=lambda: clock.now))
-    monkeypatch.setattr(common, "SAID_EVERY_S", 0.05)
-    with ProgressBar("twin") as shown:
-        shown("reading", 0.0)
+    monkeypatch.setattr(screen, "time", SimpleNamespace(monotonic=lambda: clock.now))
+    monkeypatch.setattr(screen, "INTERVAL_S", 0.05)
+    with Terminal("twin") as shown, showing_on(shown):
+        progress("reading", 0.0)
         time.sleep(0.2)
         clock.now += 30.0
-        part_of(shown, 0.5, 1.0)("held out: recording 2 of 4", 0.5)
+        with part(0.5, 1.0):
+            progress("held out: recording 2 of 4", 0.5)
         time.sleep(0.2)
     lines = capsys.readouterr().err.splitlines()
     assert lines[0] == "undrift twin: reading, 0 s so far, time left not known yet"

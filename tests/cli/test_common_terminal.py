@@ -8,7 +8,7 @@ import pytest
 from hypothesis import strategies as st
 
 from testkit.terminal import Terminal, on
-from undrift.cli import common
+from undrift.cli import screen
 
 pytestmark = pytest.mark.usefixtures("computed_once")
 
@@ -29,7 +29,7 @@ def test_a_table_that_almost_fits_is_closer_and_one_that_does_not_is_stacked():
     shown = {}
     for width in (47, 46, 38, 32):
         with on(place := Terminal(), width):
-            common.show_table("turns", heads, rows)
+            print_cells("turns", heads, rows)
         shown[width] = [line.rstrip() for line in place.getvalue().splitlines() if line.strip(" ─")]
     assert shown[47][1:3] == ["         lean", " name   (deg)   greatest error   any"]
     assert shown[46][1:3] == ["       lean", " name (deg) greatest error any"]
@@ -40,6 +40,7 @@ def test_a_table_that_almost_fits_is_closer_and_one_that_does_not_is_stacked():
 def test_a_line_that_is_written_over_keeps_whole_words_and_says_that_there_is_more():
     place = Terminal()
     with on(place, 40):
-        common.Terminal().over("[3/120] 0:12:01 left  dwell x, soaking  gyro 123.456 deg/s")
-        common.Terminal().over("gyro 123.456 deg/s")
+        shown = screen.Terminal("rig run")
+        shown.over("[3/120] 0:12:01 left  dwell x, soaking  gyro 123.456 deg/s")
+        shown.over("gyro 123.456 deg/s")
     assert place.getvalue() == "\r\x1b[J[3/120] 0:12:01 left  dwell x, …\r\x1b[Jgyro 123.456 deg/s"

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import pytest
 
-from undrift.cli.call import MOVED
 from undrift.findings import Verdict, finding
 from undrift.io.store import read_calibration, write_calibration
 
@@ -21,7 +20,7 @@ def bad(bench, tmp_path):
     return tmp_path / "bad.json"
 
 
-@pytest.mark.parametrize("command", [name for name in APPLIED if name in MOVED])
+@pytest.mark.parametrize("command", APPLIED)
 def test_what_a_bad_calibration_gives_is_there_and_ends_with_code_1(undrift, bench, bad, tmp_path, command):
     trial = [command, bench / "trial.parquet", "--calibration", bad]
     words = {

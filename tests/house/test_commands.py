@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from undrift.cli.app import COMMANDS, run
-from undrift.commands import GROUPS
+from undrift.cli.call import FUNCTIONS
 from undrift.commands.files import Opening
 
 ROOT = Path(__file__).parents[2]
@@ -31,7 +31,8 @@ def test_every_command_answers_help_with_each_of_its_options_explained(
         "--no-browser",
     }  # asked for by name; no flag has an automatic opposite
     home = importlib.import_module(f"undrift.commands.{module_of(name)}")
-    for held in (*(getattr(home, function) for function in GROUPS.get(name, {name: name}).values()), Opening):
+    places = [place for words, place in FUNCTIONS.items() if words.split()[0] == name]
+    for held in (*(getattr(home, place.partition(":")[2]) for place in places), Opening):
         together = re.findall(r"^ *(\w+(?:, \w+)+) : ", held.__doc__ or "", re.M)
         assert together == [], "options that share a paragraph lose their help"
 

@@ -12,7 +12,6 @@ from testkit.demo_session import demo_session
 from testkit.pages import CORNERS, SCHEMES, WIDTHS, browser, faults_of, seen_in
 from testkit.pictures import pictures_looked_at
 from testkit.remembered import folder_made_once, run_folder
-from undrift.base.summary import Origin
 from undrift.cli.app import run
 from undrift.commands.rig import run_report
 from undrift.io.formats import write_record
@@ -20,7 +19,7 @@ from undrift.io.reference import write_reference
 from undrift.io.session import write_session
 from undrift.record import Record
 from undrift.report.figures import AXIS_COLOURS, AXIS_DASHES, AXIS_MARKERS, COMPARED_COLOURS, COMPARED_MARKERS
-from undrift.report.page import write_report
+from undrift.report.page import Origin, write_report
 from undrift.report.report import Report
 from undrift.rig.folder import RecordedDwell
 from undrift.rig.run import RunResult

@@ -8,10 +8,9 @@ import pytest
 
 from testkit.pages import faults_of
 from testkit.terminal import Terminal, on
-from undrift.base.summary import Origin
 from undrift.findings import finding
 from undrift.report import Estimate, Report, Table
-from undrift.report.page import page_text
+from undrift.report.page import Origin, page_text
 from undrift.report.report import as_json
 from undrift.report.terminal import show
 

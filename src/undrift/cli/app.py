@@ -12,16 +12,10 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from contextvars import copy_context
-from typing import TYPE_CHECKING, Any
 
-from undrift import __version__, commands
+from undrift import __version__
 from undrift.cli import examples
 from undrift.errors import InputError, RigError, UndriftError
-
-if TYPE_CHECKING:
-    from cyclopts import App
-    from cyclopts.help import HelpPanel
-    from cyclopts.help.protocols import HelpFormatter
 
 INTERRUPTED, STOPPED = 130, "stopped. No file was left incomplete."
 STOPS = ("SIGINT", "SIGTERM", "SIGHUP")
@@ -106,9 +100,9 @@ def _dispatch(arguments: Sequence[str]) -> int:
 
         _check_names(arguments)
         CALLED.set(tuple(arguments))
-        from undrift.cli.call import MOVED, call
+        from undrift.cli.call import call
 
-        code = call(arguments) if arguments[0] in {words.split()[0] for words in MOVED} else app(list(arguments))
+        code = call(arguments)
         sys.stdout.flush()  # a full disk is told here, not when Python ends
     except UndriftError as error:
         return _refuse(arguments, error, str(error), code=3 if isinstance(error, RigError) else 2)
@@ -127,7 +121,7 @@ def _dispatch(arguments: Sequence[str]) -> int:
             raise
         text = f"internal error: {type(error).__name__}: {error}. Please report it with the command"
         return _refuse(arguments, error, f"{text} (UNDRIFT_TRACEBACK=1 shows where)", code=2)
-    return code if isinstance(code, int) else 0
+    return code
 
 
 def _check_names(arguments: Sequence[str]) -> None:
@@ -136,58 +130,6 @@ def _check_names(arguments: Sequence[str]) -> None:
         printable = word.encode("utf-8", "backslashreplace").decode()
         if "\\udc" in printable and "\\udc" not in word:
             raise InputError(f"{printable}: the name is not valid UTF-8. Rename the file or folder.")
-
-
-def _formatter() -> "HelpFormatter":
-    """Return a help formatter that fills the lines of the terminal, because docstrings have other line breaks."""
-    from cyclopts.help import DefaultFormatter
-    from rich.text import Text
-
-    class Flowing(DefaultFormatter):
-        def __call__(self, console: Any, options: Any, panel: "HelpPanel") -> None:
-            for entry in panel.entries:
-                if isinstance(text := getattr(entry.description, "primary_renderable", None), Text):
-                    text.plain = text.plain.replace("\n", " ")
-            super().__call__(console, options, panel)
-
-    return Flowing()
-
-
-def command_line() -> "App":
-    """Return the commands, each imported when it is called."""
-    from cyclopts import App, Parameter
-
-    called = App(
-        name="undrift",
-        help=ABOUT,
-        version=__version__,
-        version_flags=["--version", "-V"],
-        help_format="plaintext",
-        help_formatter=_formatter(),
-        result_action="return_value",
-        suppress_keyboard_interrupt=False,
-        default_parameter=Parameter(negative=(), json_list=False, json_dict=False),  # "[1] walk.csv" is a name
-    )
-    for place, (name, text) in enumerate(COMMANDS.items()):
-        end = {} if name in commands.GROUPS else {"help_epilogue": examples(name)}
-        home = "common" if name in (*commands.VERBS, *commands.GROUPS) else name
-        called.command(f"undrift.cli.{home}:{name}", name=name, help=text, sort_key=place, **end)
-    called.register_install_completion_command(add_to_startup=False)  # the shell's own start file stays as it is
-    return called
-
-
-def app(arguments: Sequence[str]) -> object:
-    """Call the command that the arguments name."""
-    from cyclopts import CycloptsError, UnusedCliTokensError
-
-    try:
-        return command_line()(arguments, exit_on_error=False, print_error=False)
-    except CycloptsError as error:
-        command = " ".join(("undrift", *(error.command_chain or ())))
-        if isinstance(error, UnusedCliTokensError):
-            unused = " ".join(error.unused_tokens or ())
-            raise InputError(f"unexpected argument {unused}. Run {command} --help.") from error
-        raise InputError(f"{str(error).strip().splitlines()[0]} Run {command} --help.") from error
 
 
 def _refuse(arguments: Sequence[str], error: BaseException, text: str, *, code: int) -> int:

@@ -17,7 +17,7 @@ from undrift import __version__
 from undrift.base.options import WRITTEN
 from undrift.base.spoken import NAMED
 from undrift.cli import examples
-from undrift.cli.app import COMMANDS
+from undrift.cli.app import ABOUT, COMMANDS
 from undrift.cli.screen import Terminal
 from undrift.commands.files import check_output, files_in, origin_of
 from undrift.errors import InputError
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from cyclopts.help import HelpPanel
     from cyclopts.help.protocols import HelpFormatter
 
-MOVED = {
+FUNCTIONS = {
     "calibrate": "calibrate:calibrate",
     "certificate": "certificate:certificate",
     "drift": "drift:drift",
@@ -56,6 +56,7 @@ def app() -> App:
     """Return the commands. Each is imported when it is called."""
     root = App(
         name="undrift",
+        help=ABOUT,
         version=__version__,
         help_format="plaintext",
         help_formatter=_formatter(),
@@ -63,12 +64,13 @@ def app() -> App:
         suppress_keyboard_interrupt=False,
         default_parameter=Parameter(negative=(), json_list=False, json_dict=False),  # "[1] walk.csv" is a name
     )
-    for words, place in MOVED.items():
+    for words, place in FUNCTIONS.items():
         *groups, name = words.split(" ")
         home = root
         for group in groups:
             home = home[group] if group in home else home.command(_group(group))
         home.command(f"undrift.commands.{place}", name=name, help_epilogue=examples(words))
+    root.register_install_completion_command(add_to_startup=False)  # the shell's own start file stays as it is
     return root
 
 

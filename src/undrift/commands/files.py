@@ -14,9 +14,8 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
-from undrift.base.options import WRITTEN, Policy, Up, options, stated
+from undrift.base.options import WRITTEN, Policy, Up, options
 from undrift.base.spoken import CALLED, option_of
-from undrift.base.summary import Origin
 from undrift.correction.correct import correct_checked
 from undrift.errors import Implausible, InputError
 from undrift.files import sha256_of, write_whole
@@ -37,6 +36,7 @@ from undrift.io.reference import ReferenceMap, read_reference_map
 from undrift.io.session import NAME, SessionFile, files_of, gravity_of, read_session, session_from_files
 from undrift.model import BodyMounting, Calibration
 from undrift.record import FileMap, Kind, Record, Reference, Session, Still
+from undrift.report.page import Origin
 from undrift.report.report import plain
 from undrift.sim.device.model import DeviceModel, read_device
 from undrift.sim.device.presets import PRESETS, preset, random_device
@@ -87,7 +87,13 @@ class Opening:
 
     def words(self) -> list[object]:
         """Return the options as they were given."""
-        return [*stated(map=self.column_map, **self._keys)]
+        given = {"map": self.column_map, **self._keys}
+        return [
+            word
+            for name, value in given.items()
+            if value is not None
+            for word in (f"--{name.replace('_', '-')}", value)
+        ]
 
     @property
     def _keys(self) -> dict[str, Any]:

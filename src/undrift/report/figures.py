@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from undrift.arrays import FloatArray, runs
-from undrift.base.summary import plain_words
 from undrift.errors import InputError
 from undrift.files import write_whole
 from undrift.io.inspect import saturated_runs
@@ -604,7 +603,7 @@ def draw_sessions(outcome: "StudyOutcome") -> "Figure":
         for target in outcome.study.target_deg:
             panel.axhline(target, color=OPTICS, linewidth=0.7, linestyle="--")
         panel.set(xscale="log", yscale="log", ylabel="error (deg)")
-        panel.set_title(plain_words(task.task.key), loc="left", fontsize=9)
+        panel.set_title(task.task.key.replace("_", " "), loc="left", fontsize=9)
     panels[-1].set_xlabel("session (min)")
     legend_outside(figure, *panels[0].get_legend_handles_labels())
     return figure

@@ -1,27 +1,42 @@
 """The frame of every report page: a self-contained HTML file, from ``page.html.j2`` and ``page.css``, without scripts.
 
-A page begins with its answer in a sentence and a picture. Then come the verdict with at most three findings, sections
-with figures and tables, folded details (open in print), and provenance. The command supplies the sentence, the picture
-and the sections. Figures follow the colour scheme of the reader. page.css defines their dark colours.
+A page begins with its answer in a sentence and a picture. Then come the verdict with at most three findings, tables and
+figures, folded details (open in print), and provenance. Figures follow the colour scheme of the reader. page.css defines
+their dark colours.
 """
 
+import os
 import platform
 import re
 import shlex
-from collections.abc import Iterable
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from html import escape
 from itertools import count
 from pathlib import Path
 
 from undrift import __version__
-from undrift.base.spoken import showing, spoken, spoken_template
-from undrift.base.summary import Drawing, Origin, Section, Summary, at, sentence
+from undrift.base.spoken import showing, spoken
 from undrift.files import write_whole
-from undrift.findings import SHOWN_FIRST, Finding, most_consequential_first
+from undrift.findings import SHOWN_FIRST
 from undrift.report.figures import svg_of
 from undrift.report.report import Report
 
-SCREEN_LINES = 3 * 32  # of text on three screens: longer pages have contents
+
+def today() -> str:
+    """Return the date of a page, ISO 8601, UTC. The environment variable SOURCE_DATE_EPOCH (s since 1970) overrides it."""
+    epoch = os.environ.get("SOURCE_DATE_EPOCH", "")
+    moment = datetime.fromtimestamp(int(epoch), UTC) if epoch.isdigit() else datetime.now(UTC)
+    return moment.isoformat(timespec="seconds")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Origin:
+    """Command and input files of a page, and its date."""
+
+    command: str = ""
+    inputs: tuple[tuple[str, str], ...] = ()  # File and sha256
+    date: str = field(default_factory=today)
 
 
 def write_report(path: Path, report: Report, origin: Origin | None = None) -> None:
@@ -37,7 +52,7 @@ def page_text(report: Report, origin: Origin | None = None) -> str:
     palette = set(re.findall(r"--c([0-9a-f]{6}):", style))
     environment = Environment(loader=PackageLoader("undrift", "report"), autoescape=True)
     with showing():
-        text = environment.get_template("report_page.html.j2").render(
+        text = environment.get_template("page.html.j2").render(
             report=report,
             first=SHOWN_FIRST,
             style=style,
@@ -62,53 +77,6 @@ def notebook_text(report: Report) -> str:
         body = "".join(f"<tr>{row}</tr>" for row in rows)
         parts.append(f"<table><caption>{escape(table.title)}</caption><tr>{heads}</tr>{body}</table>")
     return "".join(parts)
-
-
-def write_page(path: Path, summary: Summary, origin: Origin | None = None) -> None:
-    """Write a report page. Findings are listed with those of the verdict. Empty sections are omitted."""
-    from jinja2 import Environment, PackageLoader
-
-    style = Path(__file__).with_name("page.css").read_text()
-    environment = Environment(loader=PackageLoader("undrift", "report"), autoescape=True)
-    environment.filters["sentence"] = sentence
-    template = environment.get_template("page.html.j2")
-    sections = (*summary.sections, *summary.page(), Section(title="Notes", text=summary.notes))
-    filled = [
-        entry
-        for entry in sections
-        if entry.on != "terminal" and (entry.text or entry.findings or entry.rows or entry.pictures)
-    ]
-    verdict = summary.verdict
-    visible, number = [section for section in filled if not section.folded], count(1)
-    lines = sum(4 + 2 * len(entry.text) + len(entry.rows) + 14 * len(entry.pictures) for entry in visible)
-    with showing():
-        text = template.render(
-            summary=summary,
-            shown=visible,
-            folded=[section for section in filled if section.folded],
-            findings=_each_code_first((*(verdict.findings if verdict else ()), *summary.findings)),
-            contents=lines > SCREEN_LINES,
-            ordered=most_consequential_first,
-            first=SHOWN_FIRST,
-            style=style,
-            inlined=lambda picture: _inline(_draw(picture), next(number), set(re.findall(r"--c([0-9a-f]{6}):", style))),
-            origin=origin or Origin(),
-            spoken=spoken,
-            told=spoken_template,
-            versions=_versions(),
-        )
-    write_whole(path, text.lstrip())
-
-
-def _draw(picture: Drawing | str) -> str:
-    return picture if isinstance(picture, str) else str(at("undrift.report.figures:svg_of")(picture.draw()))
-
-
-def _each_code_first(findings: Iterable[Finding]) -> list[Finding]:
-    """Return findings by their consequence, the first of each code before the others of the same."""
-    ordered = most_consequential_first(findings)
-    first = list({item.code: item for item in reversed(ordered)}.values())[::-1]
-    return [*(item for item in ordered if item in first), *(item for item in ordered if item not in first)]
 
 
 def _inline(svg: str, number: int, palette: set[str]) -> str:
