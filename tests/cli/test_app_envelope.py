@@ -3,6 +3,7 @@
 import re
 import shlex
 import time
+from html import unescape
 from types import SimpleNamespace
 
 import pytest
@@ -10,11 +11,12 @@ import pytest
 from testkit.command_line import at_rest
 from testkit.data import data_path, show
 from undrift import __version__
-from undrift.cli import EXAMPLES, screen
+from undrift.cli import EXAMPLES, call, screen
 from undrift.cli import app as program
 from undrift.cli.call import FUNCTIONS
 from undrift.cli.call import app as command_line
 from undrift.cli.screen import Terminal
+from undrift.report.terminal import show as show_report
 from undrift.screen import part, progress, showing_on
 
 NOBODY = "galil:tcp://127.0.0.1:9?reply_timeout_s=0.2"
@@ -96,6 +98,23 @@ def test_a_good_answer_has_the_keys_of_a_report(undrift, words, name):
     assert all({"code", "level", "text"} <= item.keys() for item in told["findings"])
 
 
+@pytest.mark.parametrize("name", sorted(GOOD))
+def test_every_number_of_the_json_is_on_the_page_and_with_details_on_the_terminal(
+    undrift, words, name, monkeypatch, tmp_path
+):
+    reports = []
+    monkeypatch.setattr(
+        call, "show", lambda report, details: (reports.append(report), show_report(report, details=details))
+    )
+    answer = undrift(*words(GOOD[name])[:-1], "--details", "--report", tmp_path / "page.html")
+    (report,) = reports
+    terminal, page = answer.out, unescape((tmp_path / "page.html").read_text())
+    for table in (*report.tables, *report.details):
+        for cell in (cell for row in table.cells for cell in row):
+            assert cell in terminal
+            assert cell in page
+
+
 @pytest.mark.parametrize("name", BAD)
 def test_a_refused_call_is_an_object_with_the_error_and_keeps_its_exit_code(undrift, words, name):
     answer = undrift(*words(BAD[name]))
@@ -117,6 +136,9 @@ def test_every_help_ends_with_examples_that_parse(undrift, name):
         assert len(line) <= 78, "it would be wrapped"
         tokens = shlex.split(line)[1:]
         assert tokens[: len(name.split())] == name.split()
+        for option, count in (("--json", 1), ("--details", 1), ("--report", 2)):  # of every command
+            if option in tokens:
+                del tokens[tokens.index(option) : tokens.index(option) + count]
         command_line().parse_args(tokens, exit_on_error=False, print_error=False)
 
 

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from testkit.terminal import Terminal, on
 from undrift.cli import screen
+from undrift.report.terminal import print_cells
 
 pytestmark = pytest.mark.usefixtures("computed_once")
 

@@ -94,6 +94,8 @@ def call(arguments: Sequence[str]) -> int:
             bool, Parameter(group=DISPLAY, negative=(), show_default=False, help="One JSON object on stdout.")
         ] = False,
     ) -> int:
+        if not words:
+            raise InputError(f'Unknown command "{arguments[0]}". Run undrift --help.')
         command, bound, _ = root.parse_args(words, exit_on_error=False, print_error=False)
         if bound is None:  # --help and --version
             command()
