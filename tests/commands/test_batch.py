@@ -40,7 +40,7 @@ def test_each_recording_has_its_file_and_its_row(undrift, folder, words, tmp_pat
     told, out = answer.json(), tmp_path / "out"
     assert answer.code == 1
     assert told["answer"] == "2 of 3 recordings are done, and 1 failed."
-    assert told["findings"][0]["code"] == "folder.failed"
+    assert told["findings"][0]["code"] == "folder.recording"
     assert told["notes"] == ["These files are not recordings: README.md."]
     rows = rows_of(out)
     assert list(rows) == ["sub/walk.parquet", "torn.parquet", "walk.parquet"]

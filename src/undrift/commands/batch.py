@@ -24,7 +24,7 @@ from undrift import __version__
 from undrift.commands.files import check_folder, files_in, is_recording, name_of, origin_of
 from undrift.errors import InputError, UndriftError
 from undrift.files import write_whole
-from undrift.findings import Finding, finding
+from undrift.findings import Finding, Level, finding
 from undrift.io.formats import detect
 from undrift.report import Report, Table
 from undrift.screen import part, progress
@@ -191,9 +191,8 @@ def _absolute(value: Any) -> Any:
 
 
 def _report(title: str, rows: list[Row], before: int, others: list[str], output: Path | None) -> Report:
-    failed, bad = (sum(row["verdict"] == verdict for row in rows) for verdict in ("error", "bad"))
+    failed = sum(row["verdict"] == "error" for row in rows)
     done = f"{len(rows) - failed} of {len(rows)} recordings are done"
-    problems = [(row["recording"], row["worst_finding"]) for row in rows if row["worst_finding"]]
     return Report(
         title=title,
         answer=f"{done}{f' ({before} of them before)' if before else ''}, and {failed} failed.",
@@ -204,17 +203,18 @@ def _report(title: str, rows: list[Row], before: int, others: list[str], output:
                 rows=[(row["recording"], row["verdict"], row["result"]) for row in rows],
             )
         ],
-        details=[Table(title="Worst findings", columns=("recording", "finding"), rows=problems)],
         notes=[f"These files are not recordings: {', '.join(others)}."] if others else [],
-        findings=[_failures(failed + bad, len(rows))] if failed + bad else [],
+        findings=[_finding(row) for row in rows if row["verdict"] == "error" or row["worst_finding"]],
         written=[] if output is None else [output / SUMMARY],
         data={"recordings": len(rows), "failed": failed, "before": before},
     )
 
 
-def _failures(count: int, total: int) -> Finding:
-    sentence = f"{count} of {total} recordings failed or have a bad verdict."
-    return finding("folder.failed", "fail", sentence, "Read the table of recordings.")
+def _finding(row: Row) -> Finding:
+    """Return the error of a recording, or its worst finding."""
+    text = row["result"] if row["verdict"] == "error" else row["worst_finding"]
+    level: Level = "warn" if row["verdict"] == "marginal" else "fail"
+    return finding("folder.recording", level, f"{row['recording']}: {text}", recording=row["recording"])
 
 
 def _read(path: Path) -> dict[str, Row]:
