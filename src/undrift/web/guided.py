@@ -131,7 +131,7 @@ def progress_part(guided: Guided) -> None:
             for step, name in names.items():
                 done, again = step in guide.done, step == guide.again
                 icon = "replay" if again else "check_circle" if done else "radio_button_unchecked"
-                button = ui.button(name, icon=icon, on_click=lambda g=guide, s=step: guided.redo(g, s))
+                button = ui.button(name, icon=icon, color=None, on_click=lambda g=guide, s=step: guided.redo(g, s))
                 button.props("outline no-caps" if done else "flat no-caps").set_enabled(done)
                 state = "record it again, press to cancel" if again else "recorded, press to redo" if done else "to do"
                 button.props["aria-label"] = f"{name}: {state}"

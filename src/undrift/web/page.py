@@ -60,7 +60,7 @@ def build(bench: Bench) -> None:
     with ui.footer().classes("work") as footer:
         task = ui.label().props('role="status"')
         bar = ui.linear_progress(show_value=False).props('aria-label="Completed share"')
-        ui.button("Cancel", on_click=lambda: cancel(bench)).props("flat no-caps")
+        ui.button("Cancel", color=None, on_click=lambda: cancel(bench)).props("flat no-caps")
 
     def look() -> None:
         source, work = bench.source, bench.work
@@ -105,7 +105,8 @@ def steps(bench: Bench) -> None:
 def action(bench: Bench, label: str, handler: Handler, *, main: bool = False) -> None:
     """Add a button. An error of its handler appears next to it, and stays until the button is pressed again."""
     with ui.row().classes("action"):
-        button = ui.button(label).props("no-caps unelevated" if main else "no-caps outline")
+        button = ui.button(label, color="primary" if main else None)
+        button.props("no-caps unelevated" if main else "no-caps outline")
         button.set_enabled(bench.work is None)
         ui.label(bench.errors.get(label, "")).classes("error").props('role="alert"')
 

@@ -95,7 +95,7 @@ def _show_tables(tables: Iterable[dict[str, Any]]) -> None:
                 for k, head in enumerate(table["columns"])
             ]
             rows = [{"id": n} | {f"c{k}": cell for k, cell in enumerate(row)} for n, row in enumerate(table["cells"])]
-            scroll = ui.element("div").classes("scroll").props('tabindex="0" role="region"')
+            scroll = ui.element("div").classes("wide").props('tabindex="0" role="region"')
             scroll.props["aria-label"] = table["title"]
             with scroll:
                 ui.table(columns=heads, rows=rows, row_key="id").props("dense flat hide-bottom")
