@@ -16,6 +16,8 @@ about an axis p of the device is::
     s       a third of a code step, if codes are truncated toward zero and the offset is within a step of zero
     u_pc    g-sensitivity of the gyroscopes, for the mean change of the specific force during a lean
 
+Not counted: codes that the calibration did not identify, and the delay of a slow filter while the device turns.
+
 Without a rest, the offset is that of the calibration. Its covariance, and its changes at a switch-on, with temperature and from
 rest to motion, take the place of N^2 / R, m^2 and r^2. The limit is 1.96 u for the least certain axis p and vertical. Without
 gyroscopes it has the first two terms only. Without an accelerometer it has the others, for a change of the pitch.
