@@ -46,6 +46,7 @@ def test_from_the_zip_of_a_phone_to_a_corrected_file(
     person.drop(phone_zip(tmp_path))
     expect(page.locator(".proof")).to_contain_text("At rest: acceleration 1.0", timeout=COMMAND_MS)
     shoot(page, f"phone-checked-{width}")
+    picture(page, "check")
     faults += faults_of(page)
     person.click("Calibrate the device from it")
     expect(page.get_by_label("Serial number")).to_have_value("phone")
