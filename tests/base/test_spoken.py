@@ -8,7 +8,8 @@ import pytest
 
 import undrift
 from undrift.base.spoken import CALLED, NAMED, option_of, showing, spoken
-from undrift.cli.app import COMMANDS, command_line
+from undrift.cli.app import COMMANDS
+from undrift.cli.call import app
 from undrift.findings import finding
 
 
@@ -45,7 +46,7 @@ def test_a_finding_names_options_where_it_is_shown_and_arguments_as_data(calibra
 
 
 def test_findings_name_options_that_a_command_has():
-    commands = command_line()
+    commands = app()
     options = {
         option
         for name in COMMANDS.keys() - {"rig", "study"}

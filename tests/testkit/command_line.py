@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from undrift.cli.app import run
+from undrift.cli.call import app
 from undrift.io.formats import read_record, write_record
 from undrift.io.store import read_calibration, write_calibration
 from undrift.model import DriftTables, StaticDrift
@@ -127,3 +129,12 @@ def row_of(answer: dict[str, Any], table: str, name: str) -> dict[str, Any]:
     """Return the row of a table in JSON whose first cell is a name."""
     (row,) = (row for row in answer["tables"][table] if next(iter(row.values())) == name)
     return dict(row)
+
+
+def check_call(arguments: Sequence[str]) -> None:
+    """Raise a CycloptsError if the arguments are not a call of a command."""
+    words, display = list(arguments), {"--json": 1, "--details": 1, "--report": 2}
+    for option, count in display.items():
+        if option in words:
+            del words[words.index(option) : words.index(option) + count]
+    app().parse_args(words, exit_on_error=False, print_error=False)

@@ -27,11 +27,12 @@ from pathlib import Path
 import numpy as np
 
 import undrift
+from testkit.command_line import check_call
 from testkit.daily_use import DailyUseSettings, simulate_daily_use
 from testkit.hand_turns import Device, make_recording
 from testkit.printing_board import sketch_line
 from testkit.walking import walk
-from undrift.cli.app import command_line, run
+from undrift.cli.app import run
 from undrift.io.reference import write_reference
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import simulate_device
@@ -143,7 +144,7 @@ def parse(line: str, at: str) -> None:
     if words[0] != "undrift":
         assert words[0] in ELSEWHERE, f"{at}: {line}: unknown program"
         return
-    command_line().parse_args(words[1:], exit_on_error=False, print_error=False)
+    check_call(words[1:])
 
 
 def _check_printed(shown: str, printed: str, at: str, *, exact: bool) -> None:

@@ -6,25 +6,18 @@ same name. The docstring is their help.
 """
 
 from pathlib import Path
-from typing import Annotated, Literal, TypeAlias, TypeVar
+from typing import Annotated, Literal, TypeAlias
 
 from cyclopts import Parameter
 
-Value = TypeVar("Value")
 options = Parameter(name="*")  # of a dataclass: each field is an option
 WRITTEN = "written"  # marks a parameter that names a file to write
 
 Flag: TypeAlias = Annotated[bool, Parameter(show_default=False)]
 Files: TypeAlias = Annotated[Path, Parameter(required=True)]  # of *files: one or more
-Json: TypeAlias = Annotated[bool, Parameter(show_default=False, help="One JSON object on stdout.")]
-Details: TypeAlias = Annotated[
-    bool, Parameter(show_default=False, help="Show every finding, and every finding of a calibration that is read.")
-]
 Output: TypeAlias = Annotated[Path, WRITTEN, Parameter(name=["--output", "-o"])]
 OptionalOutput: TypeAlias = Annotated[Path | None, WRITTEN, Parameter(name=["--output", "-o"])]
 WrittenPath: TypeAlias = Annotated[Path | None, WRITTEN]
 Side: TypeAlias = Annotated[Literal["+x", "-x", "+y", "-y", "+z", "-z"], Parameter(allow_leading_hyphen=True)]
 Up: TypeAlias = Annotated[Literal["y", "z"] | None, Parameter(help="Laboratory axis that points up, in TRC or C3D.")]
-Gravity: TypeAlias = Annotated[float, Parameter(help="Local gravity, m/s2.")]
 Policy: TypeAlias = Literal["raise", "hold", "nan"]
-Report: TypeAlias = Annotated[Path | None, WRITTEN, Parameter(help="Report page to write: .html.")]
