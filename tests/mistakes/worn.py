@@ -401,7 +401,7 @@ CORRECT = [
         correct,
         "corrects a recording again that another program had corrected",
         corrected_before,
-        (*causes.ALREADY, r"not this device's calibration"),
+        (*causes.ALREADY, r"the calibration of another device"),
     ),
     mistake(correct, "names a file of another program as calibration", other_kind, causes.OTHER_KIND),
     mistake(correct, "names a calibration of an unknown format", other_format, causes.OTHER_KIND),
