@@ -1,11 +1,11 @@
-"""Tools for all stages: values as files, options, summaries and clocks.
+"""Tools for all stages: values as files, options and clocks.
 
 ``codec``
     Stores frozen dataclasses: ``@stored`` marks the class, ``read`` and ``write`` convert it from and to JSON or TOML.
 ``options``
     The fields of a dataclass are the options of a command.
-``summary``
-    The result of a command, for the terminal, a page, JSON and a notebook.
+``spoken``
+    Names of arguments in messages, which the command line shows as options.
 ``clock``
     The time of rigs and simulated benches: real, accelerated or virtual.
 

@@ -1,8 +1,7 @@
-"""Options: data about a parameter, in addition to its name, type and default, for the command line, forms and docs.
+"""Types of options that several commands share.
 
 A command is a function. Its options are its parameters and the fields of its settings (dataclasses marked
-``@options``). They are options of the command line, keyword arguments in Python, and fields of a form, all with the
-same name. The docstring is their help.
+``@options``), with the same names. The docstring is their help.
 """
 
 from pathlib import Path
