@@ -144,7 +144,9 @@ SWAPPED_FACES = (
     r"faces \+x and -x: .*the two are swapped",
     r"faces? \+x and -x[^;]*swapped|swapped[^;]*\+x[^;]*-x|\+x and -x[^;]*(?:exchanged|the two are swapped)",
 )
-GRAVITY_ASSUMED = (r"gravity assumed|gravity (?:was |is )?not stated|standard gravity .{0,60}assum|assum.{0,40}standard gravity",)
+GRAVITY_ASSUMED = (
+    r"gravity assumed|gravity (?:was |is )?not stated|standard gravity .{0,60}assum|assum.{0,40}standard gravity",
+)
 RADIANS_LATITUDE = (r"latitude[^;]*(?:radian|rad\b)",)
 TWO_DEVICES = (
     r"(?:several|two|different|more than one) devices?|readings at rest[^;]*apart|serial numbers? differ|devices differ",
