@@ -30,7 +30,7 @@ def chart_of(trace: Mapping[str, Any]) -> dict[str, Any]:
         "tooltip": {"trigger": "axis"},
         "legend": {"data": [axis for axis, *_ in LINES], "textStyle": GREY, "top": 0, "right": 16},
         "axisPointer": {"link": [both]},
-        "dataZoom": [both | {"type": "slider", "bottom": 0}],
+        "dataZoom": [both | {"type": "slider", "bottom": 8}],
         "grid": grids,
         "xAxis": times,
         "yAxis": values,
