@@ -84,6 +84,7 @@ def test_a_recording_is_calibrated_certified_and_corrected_and_another_bench_sho
     asyncio.run(work())
     other = Bench(bench.settings)
     (item,) = other.items
+    item.load()
     assert set(item.results) == {"calibrate", "certificate", "correct"}
     assert other.calibration == item.folder / "calibration.json"
     made = json.loads(other.calibration.read_text())

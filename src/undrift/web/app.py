@@ -90,6 +90,8 @@ def application(bench: Bench, ready: Callable[[], None]) -> FastAPI:
         opening = asyncio.create_task(bench.open_newest())
         yield
         opening.cancel()
+        if bench.work is not None:
+            bench.work.cancelled = True
 
     api = FastAPI(openapi_url=None, docs_url=None, redoc_url=None, lifespan=life)
 

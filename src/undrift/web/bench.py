@@ -188,6 +188,7 @@ class Bench:
 
     async def choose(self, item: Item) -> None:
         """Choose a file, and read it unless it was read."""
+        item.load()
         self.chosen, self.step = item, "Calibrate" if "calibrate" in item.results else "Check"
         self.errors.clear()
         self.changed()
@@ -295,6 +296,7 @@ class Bench:
     async def _run(self, item: Item, command: Callable[..., Report], *values: Any, **options: Any) -> None:
         """Run a command, and keep its result with a page."""
         name = command.__name__
+        item.save()  # what a person typed
 
         def run() -> dict[str, Any]:
             report = command(*values, **options)

@@ -44,7 +44,7 @@ class Item:
     turn_deg: float | None = None  # angle of the turns of a recording
     draft: dict[str, Any] = field(default_factory=dict)  # map that is proposed, with "?" for what nothing shows
     looked: Looked | None = None  # content, once it was read
-    results: dict[str, Any] = field(default_factory=dict)  # by command, as result.py shows them
+    results: dict[str, Any] = field(default_factory=dict)  # by command, as result.py shows them, once they were read
 
     @property
     def name(self) -> str:
@@ -73,6 +73,12 @@ class Item:
         """Save what is known about it."""
         values = {name: getattr(self, name) for name in SAVED}
         write_whole(self.folder / ABOUT, json.dumps(values | {"file": self.path.name}) + "\n")
+
+    def load(self) -> None:
+        """Read its results, unless they are in memory."""
+        for command in COMMANDS:
+            if command not in self.results and (shown := read_object(self.folder / f".{command}.json")):
+                self.results[command] = shown
 
     def keep(self, command: str, shown: dict[str, Any]) -> None:
         """Save the result of a command."""
@@ -106,7 +112,6 @@ def _item_in(place: Path) -> Item | None:
     for key in SAVED:
         with suppress(KeyError):
             setattr(item, key, about[key])
-    item.results = {command: result for command in COMMANDS if (result := read_object(place / f".{command}.json"))}
     if not about:
         item.save()
     return item

@@ -460,6 +460,7 @@ def use_step(bench: Bench) -> None:
 
 def take(bench: Bench, item: Item) -> None:
     """Choose a recording, and stay."""
+    item.load()
     bench.chosen = item
     bench.errors.clear()
     bench.changed()
