@@ -12,10 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
+from undrift.base.workers import executor
 from undrift.sim.device.presets import PRESETS
 from undrift.study.judge import StudyOutcome, judge
 from undrift.study.plan import Study, StudyTask, with_categories
-from undrift.study.run import executor, run_study, with_checked_fits
+from undrift.study.run import run_study, with_checked_fits
 from undrift.study.sessions import SESSIONS
 
 PAGE = Path(__file__).parents[1] / "docs" / "study-answers.md"

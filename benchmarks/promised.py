@@ -12,6 +12,7 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
+from undrift.base.workers import executor
 from undrift.calibration.calibrate import calibrate
 from undrift.drift.fit import fit_drift
 from undrift.io.session import read_session
@@ -24,7 +25,7 @@ from undrift.sim.device.model import DeviceModel
 from undrift.study.case import make_case, pitch_errors_deg, stream, with_cutoff
 from undrift.study.judge import SessionErrors, judge_sessions
 from undrift.study.plan import Study, StudyTask
-from undrift.study.run import executor, perform, run_study
+from undrift.study.run import perform, run_study
 from undrift.study.sessions import ROOM_TEMP_C, SESSIONS
 from undrift.study.virtual_bench import AIR, SETTLE_S, SOAK
 from undrift.units import STANDARD_GRAVITY

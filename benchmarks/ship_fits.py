@@ -13,11 +13,12 @@ from dataclasses import replace
 from functools import partial
 
 import undrift
+from undrift.base.workers import executor
 from undrift.sim.device.presets import PRESETS
 from undrift.study.case import EFFECTS
 from undrift.study.methods import RIVALS, fit_rival
 from undrift.study.plan import SUBJECTS, Study, StudyTask, note_study
-from undrift.study.run import StudyDevice, executor, with_checked_fits
+from undrift.study.run import StudyDevice, with_checked_fits
 from undrift.study.sessions import SESSIONS, CalibrationSession
 from undrift.study.shipped import Fit, pack, shipped_fits, write_fits
 

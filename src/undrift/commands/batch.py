@@ -21,6 +21,7 @@ from typing import Annotated, Any, TypeAlias
 from cyclopts import Parameter
 
 from undrift import __version__
+from undrift.base.workers import executor
 from undrift.commands.files import check_folder, files_in, is_recording, name_of, origin_of
 from undrift.errors import InputError, UndriftError
 from undrift.files import write_whole
@@ -28,7 +29,6 @@ from undrift.findings import Finding, Level, finding
 from undrift.io.formats import detect
 from undrift.report import Report, Table
 from undrift.screen import part, progress
-from undrift.study.run import executor
 
 Command: TypeAlias = Callable[..., Report]
 Row: TypeAlias = dict[str, str]

@@ -10,6 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from undrift.base.options import Output
+from undrift.base.workers import executor
 from undrift.commands.files import check_folder, origin_of, save_json
 from undrift.errors import InputError
 from undrift.files import write_whole
@@ -23,7 +24,7 @@ from undrift.study.judge import StudyOutcome, breakdown_session, judge, with_tes
 from undrift.study.judge import chosen_sessions as sessions_to_test
 from undrift.study.methods import compare_methods
 from undrift.study.plan import Study, note_study, read_study, with_categories
-from undrift.study.run import Run, executor, run_chosen, run_effects, run_study, with_checked_fits
+from undrift.study.run import Run, run_chosen, run_effects, run_study, with_checked_fits
 
 RUN, EFFECTS, TESTING, METHODS = 0.7, 0.8, 0.9, 0.97  # shares of the time at which each stage ends
 EFFECT_DEVICES = 10  # whose error is split

@@ -7,16 +7,15 @@
 The unit of work is a device with its own seed, so the numbers do not depend on the executor or the number of workers.
 """
 
-import os
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
 
-from undrift.errors import CalibrationError, InputError
+from undrift.errors import CalibrationError
 from undrift.model import Calibration
 from undrift.sim.motion.tasks import Group, Kind, Task, cohort, draw_task
 from undrift.study.case import (
@@ -44,42 +43,8 @@ from undrift.study.sessions import (
 from undrift.study.shipped import agree, device_text, key_of, pack, shipped_fits, unpack
 from undrift.validation.agreement import mean_interval
 
-# ---- executors
-
 BATCH = 10  # devices between two looks at the intervals
 SENSITIVITY_K = (0.0, 5.0, 20.0)  # additional temperature rises for the sensitivity, K
-
-
-@contextmanager
-def executor(workers: int | None = None, scheduler: str | None = None) -> Iterator[Callable[..., Iterator[Any]]]:
-    """Return a ``map`` over processes of this machine, or over the workers of a Dask scheduler."""
-    if scheduler is not None and workers is not None:
-        raise InputError("study: `scheduler` has its own workers. Omit `workers`.")
-    if scheduler is not None:
-        import distributed
-
-        connect: Any = distributed.Client
-        try:
-            client = connect(scheduler, timeout=10.0, set_as_default=False)
-        except (OSError, ValueError) as error:
-            raise InputError(
-                f"scheduler: no Dask scheduler answers at {scheduler} ({error}). Start one: dask scheduler."
-            ) from error
-        with client:
-            yield client.get_executor().map
-        return
-    count = len(os.sched_getaffinity(0)) if workers is None else workers
-    if count < 1:
-        raise InputError(f"study: `workers` must be 1 or more, got {count}.")
-    if count == 1:
-        yield map
-        return
-    from concurrent.futures import ProcessPoolExecutor
-    from multiprocessing import get_context
-
-    with ProcessPoolExecutor(count, mp_context=get_context("spawn")) as pool:
-        yield pool.map
-
 
 # ---- one device
 
