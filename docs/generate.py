@@ -14,6 +14,7 @@ import runpy
 import sys
 import tokenize
 from pathlib import Path
+from typing import Literal, get_args, get_origin
 
 import undrift
 
@@ -68,10 +69,10 @@ def comparison() -> str:
     found = json.loads((DOCS / "comparison.json").read_text(encoding="utf-8"))
     parts = [
         "# Side by side on public data\n\n"
-        f"Methods of calibration and orientation on recordings that anybody can have; made on {found['made']} by "
-        "`python -m benchmarks.public`\n([how](../developers.md)). Every method is judged on readings that its fit did not see. "
-        "Brackets: 95 % interval of the mean\nover the recordings, by Student's t; where recordings share a device, or are axes "
-        "of one, it is too narrow.\n\n"
+        f"This page compares methods of calibration and orientation on public recordings ({found['made']}).\n"
+        "Every method is evaluated on readings that its fit did not use.\n"
+        "Brackets contain the 95 % interval of the mean over the recordings (Student's t).\n"
+        "If recordings share a device, or are axes of one device, the interval is too narrow.\n\n"
         "![End error of each trial by each calibration and filter](../pictures/comparison.svg)\n"
     ]
     for table in found["tables"]:
@@ -90,14 +91,13 @@ def comparison() -> str:
         for row in rows:
             methods[row["method"]][row["program"]] = _mean(row)
         cells = [(method, *(each.get(name, "–") for name in programs)) for method, each in methods.items()]
-        parts.append(f"Mean in {unit}, by calibration and by what made the orientation:\n")
+        parts.append(f"Mean in {unit}, for each calibration (row) and each filter (column):\n")
         parts.append(_table(("calibration", *programs), cells))
         chosen = {row["method"].split(",")[0]: row["tuned"] for row in rows if row["program"] == "strapdown"}
         parts.append(
             "Settings chosen on: "
             + "; ".join(f"{name}: {on}" for name, on in chosen.items())
-            + ". Filters of other programs "
-            "have their own defaults. Each trial's error is in `docs/comparison.json`.\n"
+            + ".\nFilters of other programs have their own defaults.\n"
         )
     return "\n".join(parts)
 
@@ -122,6 +122,7 @@ def commands() -> dict[str, str]:
 
     pages = {}
     whole = app().generate_docs(heading_level=1).replace("```console", "```text").replace("<", "&lt;")
+    whole = re.sub(r", --(no|empty)-[\w-]+", "", whole)  # commands have no negative flags, but the generator lists them
     whole = whole.replace(" -m sphinx ", " ")  # the call of this program, which usage lines of groups repeat
     parts = re.split(r"^## (undrift \S+)\n", whole, flags=re.M)
     texts = dict(zip(parts[1::2], parts[2::2], strict=True))
@@ -137,12 +138,16 @@ def commands() -> dict[str, str]:
     rows = "\n".join(f"| [`undrift {name}`](command-{name}.md) | {text} |" for name, text in COMMANDS.items())
     toc = "\n".join(f"command-{name}" for name in COMMANDS)
     pages["commands.md"] = (
-        "# Commands\n\nEach page is made from the command itself: `undrift COMMAND --help` prints the same.\n\n"
+        "# Commands\n\nEach page is generated from the command, and `undrift COMMAND --help` prints the same.\n\n"
         f"| command | does |\n|---|---|\n{rows}\n\n"
-        "Every command takes `--json` (one object on stdout: [files](../files.md#answers-in-json)). `undrift --install-completion` completes\n"
-        "commands in your shell.\n\n"
+        "Every command also has these options:\n\n"
+        "| option | effect |\n|---|---|\n"
+        "| `--report PAGE.html` | writes a page with the answer, the tables and the figures |\n"
+        "| `--details` | prints every finding and table |\n"
+        "| `--json` | prints one JSON object ([answers in JSON](../files.md#answers-in-json)) |\n\n"
+        "`undrift --install-completion` installs the completion of commands in your shell.\n\n"
         "| exit code | means |\n|---|---|\n| 0 | done |\n| 1 | done, but the verdict is bad |\n"
-        "| 2 | the input or the call is wrong: one line states what was wanted, what came, what to do; nothing is written |\n"
+        "| 2 | the input or the call is wrong: one line names the problem, the value and the remedy, and nothing is written |\n"
         "| 3 | a rig or a device failed |\n\n"
         f"```{{toctree}}\n:hidden:\n{toc}\n```\n"
     )
@@ -163,8 +168,8 @@ def keys() -> str:
     from undrift.io.store import Calibration  # with what a file map holds
 
     parts = [
-        "# Keys of every file\n\nMade from the models that check the files; [Files](../files.md) explains them. An unknown "
-        "key is an error."
+        "# Keys of every file\n\nThese tables are generated from the models that check the files.\n"
+        "[Files](../files.md) explains them.\nAn unknown key is an error."
     ]
     for title, *sources in (
         (
@@ -187,7 +192,7 @@ def keys() -> str:
             model for source, *names in sources for model in _models(PACKAGE / source, tuple(names))
         ):
             parts.append(
-                f"### {name}\n\n{about}\n\n| key | type | default | meaning |\n|---|---|---|---|\n" + "\n".join(rows)
+                f"### {name}\n\n{about}| key | type | default | meaning |\n|---|---|---|---|\n" + "\n".join(rows)
             )
     parts.append(
         '## calibration.json\n\nThe JSON Schema: <a href="../calibration.schema.json">calibration.schema.json</a>. A key with the mark '
@@ -217,7 +222,17 @@ _FILE_UNITS = (
     ("_g", "m/s2", "g"),
     ("_ms", "s", "ms"),
     ("_dps", "rad/s", "deg/s"),
+    ("_dps2", "rad/s2", "deg/s2"),
 )
+_TABLES = {  # the name of a class in its file
+    "head": "[session]", "recording": "[[recording]]", "still": "[[still]]", "turn": "[[turn]]", "ColumnMap": "map",
+    "ChannelColumns": "columns of a map", "TempFile": "temp_file of a map", "ReferenceMap": "reference map",
+    "PoseColumns": "columns of a reference map", "TextLayout": "layout of a reference map", "RateTable": "[rate_table]",
+    "TemperatureSensitivity": "[temperature]", "Protocol": "all tables", "try": "[task.tried]", "task": "[[task]]",
+    "motion": "[task.motion]", "session": "[[session]]", "study": "[study]", "BenchErrors": "[study.bench]",
+    "Category": "[category.NAME]",
+}  # fmt: skip
+_TYPES = {"Finite": "float", "Positive": "float", "Column": "str or int", "Triad": "three columns"}
 
 
 def _models(path: Path, endings: tuple[str, ...]):
@@ -255,18 +270,29 @@ def _models(path: Path, endings: tuple[str, ...]):
                     note = note.replace(f", {si}", f", {unit}")
             kind = ast.unparse(item.annotation)
             kind = re.sub(r"Annotated\[(\w+(\[[\w, .]+\])?)( \| None)?, .*\]", r"\1", kind)
+            kind = re.sub(r"\b[A-Z]\w+", lambda word, module=module: _named_type(word[0], module), kind)
+            kind = re.sub(r"Literal\[(.*?)\]", lambda choices: choices[1].replace(", ", " or ").replace("'", '"'), kind)
             rows.append(
                 f"| `{key}` | `{kind}` | {default} | {_cell(note)} |".replace(" | None`", "`").replace(
                     " | `str | int", " | `str or int"
                 )
             )
         if rows:
-            about = (ast.get_docstring(node) or "").splitlines()[0]
+            about = re.sub(r":class:`[\w.]+\.(\w+)`", r"\1", (ast.get_docstring(node) or "").splitlines()[0])
+            name = node.name.removesuffix("Entry")
             yield (
-                node.name.removesuffix("Entry").lower() or node.name,
-                _cell(re.sub(r":class:`[\w.]+\.(\w+)`", r"\1", about)),
+                _TABLES.get(name) or _TABLES.get(name.lower(), name),
+                f"{_cell(about)}\n\n" if " " in about else "",  # a docstring of one word is the name of the table
                 [_escaped(r) for r in rows],
             )
+
+
+def _named_type(name: str, module: object) -> str:
+    """Return a type as a reader of the file knows it: a number, or its choices."""
+    value = getattr(module, name, None)
+    if get_origin(value) is Literal and len(get_args(value)) <= 8:
+        return " or ".join(f'"{choice}"' for choice in get_args(value))
+    return _TYPES.get(name, name)
 
 
 def _keys_of(model: type) -> dict[str, tuple[str, str]]:
@@ -304,7 +330,7 @@ def _default(value: object) -> str:
     if value is None:
         return "none"
     with contextlib.suppress(TypeError):
-        text = json.dumps(value)
+        text = json.dumps(float(f"{value:.6g}") if isinstance(value, float) else value)
         return f"`{text}`" if len(text) < 40 else "see the page"
     return "as its own table"
 
@@ -359,11 +385,11 @@ def presets() -> str:
 
 STAGES = {
     "record": "Records and sessions", "io.formats": "Reading and writing", "io.session": "", "segments": "Rests and turns",
-    "calibration.calibrate": "Calibration", "calibration.session": "", "model": "", "findings": "", "io.store": "",
+    "calibration.calibrate": "Calibration", "calibration.settings": "", "model": "", "findings": "", "io.store": "",
     "calibration.noise": "Noise", "drift.fit": "Drift over temperature", "correction.correct": "Correction",
     "orientation": "Orientation", "frames": "", "validation.trial": "Validation", "validation.agreement": "",
-    "twin.fit": "Twin", "sim.device.presets": "Simulation", "sim.device.simulate": "", "sim.sessions": "", "sim.thermal": "",
-    "export.c": "Export", "export.autopilots": "", "export.programs": "", "errors": "Errors",
+    "twin.fit": "Twin", "sim.device.presets": "Simulation", "sim.device.model": "", "sim.device.simulate": "", "sim.sessions": "", "sim.thermal": "",
+    "export.c": "Export", "export.losses": "", "errors": "Errors",
 }  # fmt: skip
 
 

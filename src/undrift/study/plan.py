@@ -1,7 +1,7 @@
 """Plan of a study: study.toml, or the note's study as a preset.
 
     [study]            device, people, temperatures, sessions, target
-    [[task]]           a task of the library, or recorded people ([task.try] varies the note's four numbers one at a time)
+    [[task]]           a task of the library, or recorded people ([task.tried] varies the note's four numbers one at a time)
     [[session]]        a custom session with a protocol.toml
     [category.NAME]    a custom category of people
 
@@ -252,7 +252,7 @@ def note_study() -> Study:
 @stored()
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TryEntry:
-    """[task.try]: the note's four numbers, each list begins with the value around which the others are tried."""
+    """[task.tried]: the note's four numbers, each list begins with the value around which the others are tried."""
 
     cutoff_hz: Annotated[tuple[Positive, ...], MinLen(1)] = (11.1,)
     turn_rate_step_dps: Annotated[tuple[Positive, ...], MinLen(1)] = (5.0,)
