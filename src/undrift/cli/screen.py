@@ -1,6 +1,5 @@
 """The terminal during a command: progress with the time left, lines and questions, on stderr and stdin."""
 
-import os
 import sys
 import threading
 import time
@@ -9,7 +8,7 @@ from types import TracebackType
 from undrift.report.terminal import console, say, wrap
 from undrift.screen import Screen
 
-INTERVAL_VARIABLE, INTERVAL_S = "UNDRIFT_PROGRESS_S", 8.0  # between lines of progress if stderr is not a terminal
+INTERVAL_S = 8.0  # between lines of progress if stderr is not a terminal
 
 
 class Terminal(Screen):
@@ -76,8 +75,7 @@ class Terminal(Screen):
         raise EOFError
 
     def _report_periodically(self) -> None:
-        interval = os.environ.get(INTERVAL_VARIABLE, "")
-        while not self._stop.wait(float(interval) if interval.replace(".", "", 1).isdigit() else INTERVAL_S):
+        while not self._stop.wait(INTERVAL_S):
             elapsed_s, share = time.monotonic() - self._start_s, self._share
             remaining = "time left not known yet"
             if share > 0.0:

@@ -163,6 +163,8 @@ def readings_step(bench: Bench) -> None:
             uploader(bench)
         with ui.card():
             ui.label("Connect a device").classes("heading")
+            if bench.source is not None:
+                action(bench, f"Disconnect {bench.source.name}", bench.disconnect)
             action(bench, "Look for devices", bench.search)
             for address, about in bench.found:
                 action(bench, f"Connect {address}", partial(bench.connect, address))
