@@ -10,7 +10,12 @@ CHAIN, ROBOT, PENDULUM = "chain_with_optics", "robot_arm_reference", "pendulum_w
 @pytest.mark.parametrize(
     ("recording", "reference", "stated", "raw_deg"),
     [
-        ((CHAIN, "seg2_trial1_imu.csv.gz"), (CHAIN, "seg2_trial1_optics.csv.gz"), (), (40.0, 50.0)),
+        (
+            (CHAIN, "seg2_trial1_imu.csv.gz"),
+            (CHAIN, "seg2_trial1_optics.csv.gz"),
+            ("--gyro-unit", "rad/s"),
+            (40.0, 50.0),
+        ),
         (
             (ROBOT, "circle-100_carpus_imu.csv.gz"),
             (ROBOT, "circle-100_carpus_robot.csv.gz"),
@@ -61,7 +66,7 @@ def test_a_map_of_readings_is_no_map_of_a_reference(undrift, tmp_path):
         'columns = { time = "t", gyro = ["x", "y", "z"] }\nunits = { time = "s", gyro = "dps" }\n'
     )
     own, true = (data_path(CHAIN, f"seg2_trial1_{one}.csv.gz") for one in ("imu", "optics"))
-    undrift.good("info", own, "--write-map", tmp_path / "own.toml")
+    undrift.good("info", own, "--gyro-unit", "rad/s", "--write-map", tmp_path / "own.toml")
     words = (
         "validate",
         own,

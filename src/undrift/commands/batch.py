@@ -212,9 +212,9 @@ def _report(title: str, rows: list[Row], before: int, others: list[str], output:
 
 def _finding(row: Row) -> Finding:
     """Return the error of a recording, or its worst finding."""
-    text = row["result"] if row["verdict"] == "error" else row["worst_finding"]
+    sentence = f"{row['recording']}: {row['result'] if row['verdict'] == 'error' else row['worst_finding']}"
     level: Level = "warn" if row["verdict"] == "marginal" else "fail"
-    return finding("folder.recording", level, f"{row['recording']}: {text}", recording=row["recording"])
+    return finding("folder.recording", level, sentence, recording=row["recording"])
 
 
 def _read(path: Path) -> dict[str, Row]:

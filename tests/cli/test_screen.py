@@ -1,28 +1,8 @@
-"""What a person reads on a terminal of 60, 80 or 120 columns: tables and lines whole, whatever is in them.
-
-Every call by the fixture ``undrift`` compares what those terminals show; here are tables of anything, a real terminal, and the
-numbers of the JSON.
-"""
-
-import pytest
-from hypothesis import strategies as st
+"""What a person reads on a terminal: narrow tables, and lines that are written over."""
 
 from testkit.terminal import Terminal, on
 from undrift.cli import screen
 from undrift.report.terminal import print_cells
-
-pytestmark = pytest.mark.usefixtures("computed_once")
-
-WORDS = st.text(st.characters(exclude_categories=("C", "Z", "M"), exclude_characters="─:"), min_size=1, max_size=30)
-CELLS = st.lists(WORDS, min_size=0, max_size=4).map(" ".join)
-
-
-@st.composite
-def tables(draw: st.DrawFn) -> tuple[str, list[str], list[list[str]]]:
-    """A title, heads and rows; every head has a cell."""
-    heads = draw(st.lists(CELLS, min_size=1, max_size=9))
-    rows = draw(st.lists(st.lists(CELLS, min_size=len(heads), max_size=len(heads)), max_size=3))
-    return draw(CELLS), heads, [*rows, ["0"] * len(heads)]
 
 
 def test_a_table_that_almost_fits_is_closer_and_one_that_does_not_is_stacked():
