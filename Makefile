@@ -42,7 +42,7 @@ test-browser: machine $(INSTALLED)
 
 # The bench's pictures of docs/bench.md, from a simulated phone and the practice device: commit what changed.
 pictures: $(INSTALLED)
-	UNDRIFT_PICTURES=docs/pictures $(BIN)/python -m pytest tests/web_browser/test_ways.py tests/web_browser/test_path.py -m "slow or not slow" -k "zip or pointer"
+	UNDRIFT_PICTURES=docs/pictures $(BIN)/python -m pytest tests/web_browser/test_files.py tests/web_browser/test_practice.py -m "slow or not slow"
 
 # What `make test` leaves out: tests marked slow. A test has no time limit here.
 test-slow: machine $(INSTALLED)

@@ -20,7 +20,7 @@ import undrift
 
 DOCS = Path(__file__).parent
 PACKAGE = Path(undrift.__file__).parent
-DRAWN = ("tutorial", "note_figure3", "drift_table", "comparison", "sit_to_stand")  # that need no data
+DRAWN = ("poses", "tutorial", "note_figure3", "drift_table", "comparison", "sit_to_stand")  # that need no data
 
 
 def write_all(folder: Path) -> None:
