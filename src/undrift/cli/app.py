@@ -33,7 +33,7 @@ COMMANDS = {  # one line of 80 columns each
     "export": "Write calibrations for firmware and other programs.",
     "certificate": "A calibration certificate with uncertainty budget, to print on A4.",
     "noise": "Angle random walk, bias instability, rate random walk.",
-    "simulate": "Simulated sensor output for poses, tasks and thermal sessions.",
+    "simulate": "Simulated sensor output for a task, poses or markers.",
     "rig": "Run a protocol on a rate table, check the table, stop it.",
     "study": "Find the calibration protocol that is enough for a task.",
     "bench": "The guided bench in a browser: from six faces to a certificate.",
