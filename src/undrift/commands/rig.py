@@ -38,6 +38,7 @@ TableAddress: TypeAlias = Annotated[str, Parameter(help="Address of the table.")
 DWELL_COLUMNS = (
     "dwell", "purpose", "up", "samples", "missing", "nominal (deg/s)", "achieved (deg/s)", "temperature (degC)"
 )  # fmt: skip
+WAVE_DPS2 = 2300.0  # acceleration of the run-ups of the step wave, deg/s2
 HIGHEST_DPS, HIGHEST_DPS2 = 360.0, 5000.0  # default limits for a table without other limits
 
 
@@ -75,7 +76,6 @@ def run(
     highest_turn_rate_dps: float = HIGHEST_DPS,
     highest_acceleration_dps2: float = HIGHEST_DPS2,
     shaft: Shaft = Shaft(),
-    device_lag_s: float = 120.0,
     resume: bool = False,
     yes: bool = False,
 ) -> Report:
@@ -106,9 +106,6 @@ def run(
         Largest commanded rate, deg/s.
     highest_acceleration_dps2 : float
         Largest commanded acceleration, deg/s2.
-    device_lag_s : float
-        Time constant with which a device without thermometer follows the chamber's air, s. A soak lasts five time
-        constants.
     resume : bool
         Continue in the folder of an interrupted run.
     yes : bool
@@ -144,9 +141,7 @@ def run(
         else:
             bench, devices = _parts_of_simulated_bench(simulated, folders, with_chamber=chamber is not None)
         devices[0].serial = serial or devices[0].serial
-        results = run_programme(
-            programme, bench, *devices, report=display, gravity_m_s2=gravity_m_s2, device_lag_s=device_lag_s
-        )
+        results = run_programme(programme, bench, *devices, report=display, gravity_m_s2=gravity_m_s2)
     return run_report(dict(zip(paths.values(), results, strict=True)))
 
 
@@ -336,7 +331,6 @@ def check(
     rig: str,
     seconds: float = 60.0,
     turn_rate_dps: float = 90.0,
-    acceleration_dps2: float = 2300.0,
     limit_deg: float = 0.012,
     shaft: Shaft = Shaft(),
 ) -> Report:
@@ -350,13 +344,11 @@ def check(
         Length of the step wave, s of the table.
     turn_rate_dps : float
         Rate of the wave in both directions, deg/s. Faster rates are never commanded.
-    acceleration_dps2 : float
-        Acceleration of the run-ups, deg/s2.
     limit_deg : float
         Largest following error at steady rate, deg. If it is exceeded, the exit code is 1.
     """
 
-    rig_settings = shaft.settings(turn_rate_dps, acceleration_dps2)
+    rig_settings = shaft.settings(turn_rate_dps, WAVE_DPS2)
     settings = CheckSettings(
         turn_rate=rig_settings.limits.turn_rate,
         duration_s=seconds,
@@ -400,7 +392,7 @@ def check(
                 "seconds": seconds,
                 "turn_rate_dps": turn_rate_dps,
                 "achieved_dps": result.turn_rate / RADIAN_PER_DEGREE,
-                "acceleration_dps2": acceleration_dps2,
+                "acceleration_dps2": WAVE_DPS2,
             },
             "servo": asdict(result.servo),
         },

@@ -19,7 +19,6 @@ def twin(
     *records: Files,
     optics: Optics = Optics(),
     gravity_m_s2: float = STANDARD_GRAVITY,
-    seed: int = 0,
     output: OptionalOutput = None,
     opening: Opening = Opening(),
 ) -> Report:
@@ -34,8 +33,6 @@ def twin(
         Raw recordings of one device in one mounting. Without a rest, a recording has the device's offset in motion.
     gravity_m_s2 : float
         Local gravity, m/s2: the accelerometer's scale is proportional to it.
-    seed : int
-        Seed of the noise of simulated devices.
     output : Path or None
         device.json to write.
     """
@@ -47,7 +44,7 @@ def twin(
     held_out: tuple[HeldOutTrial, ...] = ()
     if len(records) > 1:
         with part(0.34, 1.0):
-            held_out = compare_held_out(fitted, rng=np.random.default_rng(seed), progress=progress)
+            held_out = compare_held_out(fitted, rng=np.random.default_rng(0), progress=progress)
     if output is not None:
         first = fitted.prepared.matches[0].record
         write_device(device_of(fitted, sample_rate_hz=first.sample_rate_hz, serial=first.device), output)
