@@ -127,8 +127,8 @@ def _recordings(paths: tuple[Path, ...], output: Path | None) -> tuple[dict[str,
             else:
                 files[name] = file
     if not files:
-        found = f"{len(others)} other files" if others else "an empty folder"
-        raise InputError(f"{paths[0]}: expected a recording or a folder of recordings, got {found}. Check the path.")
+        contents = f"{len(others)} other files" if others else "an empty folder"
+        raise InputError(f"{paths[0]}: expected a recording or a folder of recordings, got {contents}. Check the path.")
     return files, others
 
 

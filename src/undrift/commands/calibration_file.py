@@ -47,9 +47,9 @@ def choose_calibration(source: Path | None, recordings: Sequence[Path], opening:
     models = {path: read_calibration(path) for path in calibration_files(source)}
     dates = {path: _created(model) for path, model in models.items() if model.device == serial}
     if not dates:
-        others = sorted({model.device or "without serial number" for model in models.values()})
+        serials_there = sorted({model.device or "without serial number" for model in models.values()})
         raise InputError(
-            f"{source}: no calibration of {serial} in this folder. It contains {', '.join(others) or 'no calibration'}. "
+            f"{source}: no calibration of {serial} in this folder. It contains {', '.join(serials_there) or 'no calibration'}. "
             "Name the file."
         )
     newest = [path for path, date in dates.items() if date == max(dates.values())]
@@ -59,8 +59,8 @@ def choose_calibration(source: Path | None, recordings: Sequence[Path], opening:
             f"{source}: several newest calibrations of {serial} have the same date: {names}. Name one of these files."
         )
     path = newest[0]
-    made = "without a date" if dates[path] == NO_DATE else f"of {dates[path]:%Y-%m-%d}"
-    note = f"The calibration is {path} {made}, the newest of {len(dates)} of {serial}."
+    origin = "without a date" if dates[path] == NO_DATE else f"of {dates[path]:%Y-%m-%d}"
+    note = f"The calibration is {path} {origin}, the newest of {len(dates)} of {serial}."
     return ChosenCalibration(path=path, model=models[path], notes=(note,))
 
 

@@ -72,10 +72,10 @@ def certificate(
     model, entries = read_calibration(calibration), statement.entries()
     report = certificate_report(model, {} if limits is None else read_limits(limits))
     write_certificate(model, output, report, entries)
-    by_hand = [*(label for label, text in entries.items() if not text), *BY_HAND]
+    blank_entries = [*(label for label, text in entries.items() if not text), *BY_HAND]
     return replace(
         report,
-        notes=[f"Lines to fill in by hand: {', '.join(by_hand).lower()}."],
+        notes=[f"Lines to fill in by hand: {', '.join(blank_entries).lower()}."],
         written=[output],
         data={**report.data, "statement": entries},
     )

@@ -95,10 +95,10 @@ def _notes(fit: DriftFit, model: Calibration | None, path: Path | None) -> Itera
 def _next_command(recording: Path | None, session: Session, fit: DriftFit, output: Path) -> tuple[object, ...]:
     """Return how to correct a recording with the tables: from power-on with a warm-up model, and held outside the range."""
     static = None if fit.calibration.drift is None else fit.calibration.drift.static
-    words, temp_c = list[str](), session.records[0].temp_c
+    command, temp_c = list[str](), session.records[0].temp_c
     if static is not None and static.warm_up is not None:
-        words += ["--power-on-s", "0"]  # as it was recorded
+        command += ["--power-on-s", "0"]  # as it was recorded
     if static is not None and temp_c is not None:
         outside = (temp_c < static.temp_c[0]) | (temp_c > static.temp_c[-1])
-        words += ["--policy", "hold"] if outside.any() else []
-    return ("correct", recording, "--calibration", output, *words, "-o", "corrected.parquet") if recording else ()
+        command += ["--policy", "hold"] if outside.any() else []
+    return ("correct", recording, "--calibration", output, *command, "-o", "corrected.parquet") if recording else ()

@@ -87,10 +87,10 @@ class Opening:
 
     def words(self) -> list[object]:
         """Return the options as they were given."""
-        given = {"map": self.column_map, **self._keys}
+        values = {"map": self.column_map, **self._keys}
         return [
             word
-            for name, value in given.items()
+            for name, value in values.items()
             if value is not None
             for word in (f"--{name.replace('_', '-')}", value)
         ]

@@ -55,25 +55,25 @@ def mount(
     progress("finding steps and stances", 0.5)
     fit = find_mounting(readings, worn, movement)
     title, findings = f"Mounting by {', '.join(path.name for path in records)}", fit.verdict.findings
-    found = fit.mounting
-    if found is None:
+    mounting = fit.mounting
+    if mounting is None:
         answer = "The recordings do not determine how the device is worn. No file was written."
         return Report(title=title, answer=answer, findings=findings, judged=True, data={"mounting": None})
     if output is not None and model is not None:
-        write_calibration(replace(model, mounting=found), output)
+        write_calibration(replace(model, mounting=mounting), output)
     return Report(
         title=title,
-        answer=statement_of(found),
-        tables=[_axes(found)],
+        answer=statement_of(mounting),
+        tables=[_axes(mounting)],
         notes=[] if output else ["Not saved: add --calibration and -o calibration.json to keep the mounting."],
         findings=[
             *findings,
-            *check_turned(found, None if model is None else model.mounting),
+            *check_turned(mounting, None if model is None else model.mounting),
             *calibration_findings(model),
         ],
         judged=True,
         written=[output] if output else [],
-        data={"mounting": tree_of(found)},
+        data={"mounting": tree_of(mounting)},
         next_command=["orient", records[0], "--calibration", output, "-o", "angles.csv"] if output else [],
     )
 

@@ -118,7 +118,7 @@ def run(
     )
     display = _Display()
     kind, _, options = parse_address(rig, replace(settings, ask=display.ask))
-    settings, limits, by_hand = (
+    settings, limits, manual = (
         replace(settings, ask=display.ask, clock=options.clock),
         settings.limits,
         kind == "manual",
@@ -126,13 +126,13 @@ def run(
     simulated = _simulated_bench(device, (rig, chamber), options, gravity_m_s2)
     programme = programme_of(protocol_content, ProgrammeSettings(encoder_lines=options.encoder_lines))
     if not resume:
-        check_programme(programme, limits, by_hand=by_hand)  # before there is a folder
+        check_programme(programme, limits, by_hand=manual)  # before there is a folder
     paths = _folders(output, device, serial)
     with ExitStack() as stack:
         stack.enter_context(one_run(rig, f"undrift rig run into {output}"))
         folders = [stack.enter_context(RunFolder(path, protocol_content, resume=resume)) for path in paths.values()]
         done = frozenset.intersection(*(folder.done for folder in folders))
-        check_programme(programme, limits, done, by_hand=by_hand)
+        check_programme(programme, limits, done, by_hand=manual)
         display.plan(programme, done, yes)
         stack.enter_context(stopping_on_signals())
         if simulated is None:

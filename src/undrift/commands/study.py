@@ -84,12 +84,12 @@ def study(
         progress("switching off errors one at a time", RUN)
         split = tuple((task.task.key, breakdown_session(task)) for task in outcome.tasks)
         devices = range(min(EFFECT_DEVICES, outcome.subjects))
-        effects = [run for made in spread(partial(run_effects, planned, split), devices) for run in made]
+        effects = [run for batch in spread(partial(run_effects, planned, split), devices) for run in batch]
         progress("testing the answers on the other group of people", EFFECTS)
         chosen, tested = sessions_to_test(outcome), list[Run]()
         if chosen and all(task.motion is None for task in planned.tasks):
-            others = range(outcome.subjects)
-            tested = [run for made in spread(partial(run_chosen, planned.other(), chosen), others) for run in made]
+            numbers = range(outcome.subjects)
+            tested = [run for batch in spread(partial(run_chosen, planned.other(), chosen), numbers) for run in batch]
         outcome = with_test(outcome, tested, effects)
         progress("comparing methods and rivals", TESTING)
         if preset is not None:

@@ -88,11 +88,11 @@ def _warnings(table: LevelTable) -> list[Table]:
 def _methods(table: LevelTable) -> str:
     """Return a paragraph about the methods, for a paper."""
     people, tasks, devices = (len({getattr(trial, name) for trial in table.trials}) for name in TRIAL[1:])
-    by_others = sum(trial.left_out or trial.calibration is None for trial in table.trials)
-    count = len(table.trials) - by_others
+    left_out = sum(trial.left_out or trial.calibration is None for trial in table.trials)
+    count = len(table.trials) - left_out
     calibrated = f"{count} recordings were corrected with an earlier calibration of their device"
-    if by_others:
-        calibrated += f", {by_others} with a fit to the other recordings of their device (leave-one-out)"
+    if left_out:
+        calibrated += f", {left_out} with a fit to the other recordings of their device (leave-one-out)"
     return (
         f"{len(table.trials)} recordings of {people} people in {tasks} tasks with {devices} inertial sensors were "
         f"compared with optical motion capture by undrift {__version__}. {calibrated}. The offset of the gyroscopes was "

@@ -63,8 +63,8 @@ def twin(
 
 
 def _answer(fitted: Twin, held_out: Sequence[HeldOutTrial]) -> str:
-    known = sum(parameter.identifiable for parameter in fitted.parameters)
-    text = f"The recordings identify {known} of {len(fitted.parameters)} parameters of the device."
+    count = sum(parameter.identifiable for parameter in fitted.parameters)
+    text = f"The recordings identify {count} of {len(fitted.parameters)} parameters of the device."
     short = [trial.pitch for trial in held_out if trial.window_s == WINDOWS_S[0]]
     if not short:
         return text
@@ -91,8 +91,8 @@ def _windows(held_out: Sequence[HeldOutTrial]) -> Table:
     """Return the largest pitch difference in a window: median, 95th percentile and largest of the windows."""
     rows = []
     for trial in held_out:
-        known = trial.pitch[np.isfinite(trial.pitch)] / RADIAN_PER_DEGREE
-        spread = np.quantile(known, (0.5, 0.95, 1.0)).tolist() if len(known) else [np.nan] * 3
+        pitch_deg = trial.pitch[np.isfinite(trial.pitch)] / RADIAN_PER_DEGREE
+        spread = np.quantile(pitch_deg, (0.5, 0.95, 1.0)).tolist() if len(pitch_deg) else [np.nan] * 3
         rows.append((trial.recording, trial.window_s, len(trial.pitch), *spread))
     columns = ("recording", "window (s)", "windows", "median (deg)", "95 % (deg)", "largest (deg)")
     form = dict.fromkeys(columns[3:], ".2f")

@@ -97,9 +97,9 @@ def validate(
     check_folder(output)
     settings = TrialSettings(longest_lag_s=max_lag_s, forward=forward or "+x", up=up or "+z")
     if trials is not None:
-        stated = {"calibration": calibration, "calibrate_from": calibrate_from, "reference": optics != Optics()}
-        if given := [name for name, value in (stated | {"offset": offset != "rest"}).items() if value]:
-            raise InputError(f"validate: `{given[0]}` cannot be combined with `trials`. Write it in the table.")
+        options = {"calibration": calibration, "calibrate_from": calibrate_from, "reference": optics != Optics()}
+        if conflicts := [name for name, value in (options | {"offset": offset != "rest"}).items() if value]:
+            raise InputError(f"validate: `{conflicts[0]}` cannot be combined with `trials`. Write it in the table.")
         if len(records) != 1:
             raise InputError(f"validate: `trials` needs one folder that contains the table, got {len(records)} paths.")
         report, inputs = validate_people(records[0], trials, settings=settings, forward=forward, up=up, opening=opening)

@@ -126,10 +126,10 @@ def _results(name: str, model: TriadModel, table: ParameterTable) -> Table:
     for n, parameter in enumerate(table.names):
         value, expanded = float(table.value[n]), float(table.expanded[n])
         (factor, unit), fixed = units[block_of(parameter)], not expanded > 0.0
-        shown: Cell = value if fixed else Estimate(value, expanded)
-        in_budget = None if fixed else abs(factor) * expanded
+        cell: Cell = value if fixed else Estimate(value, expanded)
+        size = None if fixed else abs(factor) * expanded
         coverage = None if fixed else float(table.coverage[n])
-        rows.append((parameter, shown, parameter_unit(parameter, model), in_budget, unit, coverage))
+        rows.append((parameter, cell, parameter_unit(parameter, model), size, unit, coverage))
     equation = "corrected = M (raw - o)" + (" - G a" if model.g_sensitivity is not None else "")
     equation += " - d in motion" if model.moving_offset is not None else ""
     note = (

@@ -108,11 +108,11 @@ def summarise(fit: DriftFit, sensor: Sensor) -> TriadSummary | None:
     if table is None or model is None or table.uncertainty is None or table.extrapolated is None:
         return None
     drift = fit.static.gyro if sensor == "gyro" else fit.static.accel
-    seen = table.temp_c[~table.extrapolated] if not table.extrapolated.all() else table.temp_c
+    covered_c = table.temp_c[~table.extrapolated] if not table.extrapolated.all() else table.temp_c
     factor = model.si_per_reading(triad.quantity)
     return TriadSummary(
         unit=SI_UNIT[triad.quantity],
-        seen_c=(float(seen[0]), float(seen[-1])) if drift is None else drift.span_c,
+        seen_c=(float(covered_c[0]), float(covered_c[-1])) if drift is None else drift.span_c,
         temp_c=table.temp_c,
         departure=(table.value - model.offset) * factor,
         uncertainty=table.uncertainty * factor,

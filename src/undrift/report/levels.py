@@ -133,8 +133,8 @@ def levels_json(table: LevelTable) -> dict[str, Any]:
     errors = list[dict[str, Any]]()
     for row in table.errors:
         items = findings_json([item for _, item in row.findings])
-        named = [{"recording": pair[0], **item} for pair, item in zip(row.findings, items, strict=True)]
-        errors.append(asdict(replace(row, findings=())) | {"findings": named})
+        findings = [{"recording": pair[0], **item} for pair, item in zip(row.findings, items, strict=True)]
+        errors.append(asdict(replace(row, findings=())) | {"findings": findings})
     return {
         "quantity": table.quantity,
         "margin_deg": table.margin_deg,

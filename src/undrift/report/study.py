@@ -76,8 +76,8 @@ def chosen_sessions(outcome: StudyOutcome) -> list[CalibrationSession]:
     """Return the sessions that are an answer, each once."""
     answers = (*outcome.for_all, *(answer for task in outcome.tasks for answer in task.answers))
     names = dict.fromkeys(answer.session for answer in answers if answer.session)
-    by_name = {session.name: session for session in outcome.study.sessions}
-    return [by_name[name] for name in names]
+    sessions = {session.name: session for session in outcome.study.sessions}
+    return [sessions[name] for name in names]
 
 
 def file_stem(session: CalibrationSession) -> str:
@@ -210,9 +210,9 @@ def _table_1(task: TaskOutcome) -> list[Table]:
             test = (effect.anova.f, effect.anova.p_value, effect.p_holm)
         span = max(effect.means_deg, default=0.0) - min(effect.means_deg, default=0.0)
         for value, mean in zip(effect.values, effect.means_deg, strict=True):
-            own = value == effect.own
+            is_own = value == effect.own
             rows.append(
-                (HEADINGS[effect.parameter], value, mean, *((span, *test, effect.verdict) if own else (None,) * 5))
+                (HEADINGS[effect.parameter], value, mean, *((span, *test, effect.verdict) if is_own else (None,) * 5))
             )
     note = (
         "Each number is varied by itself. The other three keep their values. The row with the value of the task has the "
@@ -234,12 +234,12 @@ def _table_2(outcome: StudyOutcome) -> Table:
     for group, printed in TABLE_2.items():
         people = cohort(group, rng=stream(outcome.study.seed, "cohort", group, 0))
         ages, heights_cm = [person.age_years for person in people], [100.0 * person.height for person in people]
-        for quantity, values, stated, factor in (
+        for quantity, values, printed_row, factor in (
             ("age (years)", ages, printed[0], 1.0),
             ("height (cm)", heights_cm, printed[1], 100.0),
         ):
-            found = (min(values), float(np.mean(values)), max(values))
-            rows.append((group, quantity, *(factor * value for value in stated), *found))
+            simulated = (min(values), float(np.mean(values)), max(values))
+            rows.append((group, quantity, *(factor * value for value in printed_row), *simulated))
     columns = ("group", "quantity", "note, minimum", "note, mean", "note, maximum", "minimum", "mean", "maximum")
     return Table(title="The note's Table 2", columns=columns, rows=rows, form=".0f")
 

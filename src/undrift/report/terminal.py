@@ -67,10 +67,10 @@ def wrap(line: str, width: int, **options: Any) -> list[str]:
 def _show_findings(report: Report, *, details: bool) -> None:
     findings = report.ordered_findings
     alarms = [item for item in findings if item.level != "info"]
-    shown = findings if details else (alarms if alarms or not report.judged else findings)[:SHOWN_FIRST]
-    say(*(f"  - {item.text}" for item in shown))
-    if len(findings) > len(shown):
-        say(f"  {len(findings) - len(shown)} more: --details")
+    visible = findings if details else (alarms if alarms or not report.judged else findings)[:SHOWN_FIRST]
+    say(*(f"  - {item.text}" for item in visible))
+    if len(findings) > len(visible):
+        say(f"  {len(findings) - len(visible)} more: --details")
 
 
 def _show_table(table: Table) -> None:
@@ -101,8 +101,8 @@ def print_cells(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]])
         return
 
     def line(cells: Sequence[str]) -> str:
-        others = (" " * (width - cell_len(cell)) + cell for cell, width in zip(cells[1:], widths[1:], strict=True))
-        return " " + (" " * gap).join((set_cell_size(cells[0], widths[0]), *others)) + " "
+        padded = (" " * (width - cell_len(cell)) + cell for cell, width in zip(cells[1:], widths[1:], strict=True))
+        return " " + (" " * gap).join((set_cell_size(cells[0], widths[0]), *padded)) + " "
 
     out.print("", *map(line, head_lines), sep="\n", markup=False, soft_wrap=True, style="table.header")
     out.print(f" {rule} ", *map(line, rows), "", sep="\n", markup=False, soft_wrap=True)

@@ -87,7 +87,7 @@ def check_rig(rig: Rig, clock: Clock, settings: CheckSettings, report: Report = 
 def _run_wave(rig: ServoRig, clock: Clock, settings: CheckSettings, report: Report) -> RigCheck:
     """Turn in alternating directions, and read the following error continuously."""
     steady: list[float] = []
-    in_run_up: list[float] = []
+    run_up: list[float] = []
     rates: list[float] = []
     identity, servo = rig.identify(), rig.read_servo()
     rig.enable(True)
@@ -101,7 +101,7 @@ def _run_wave(rig: ServoRig, clock: Clock, settings: CheckSettings, report: Repo
         while (elapsed_s := clock.now() - start) < settings.half_period_s - ramp_s:
             error = abs(rig.following_error())
             if elapsed_s < ramp_s + SETTLE_S:
-                in_run_up.append(error)
+                run_up.append(error)
             else:
                 steady.append(error)
                 positions.append(rig.position())
@@ -126,7 +126,7 @@ def _run_wave(rig: ServoRig, clock: Clock, settings: CheckSettings, report: Repo
         servo=servo,
         rms=math.sqrt(float(np.mean(np.square(steady)))),
         largest=largest,
-        in_run_up=max(in_run_up, default=math.nan),
+        in_run_up=max(run_up, default=math.nan),
         turn_rate=float(np.mean(rates)),
         verdict=Verdict.of(*([failed] if largest > settings.limit else [])),
     )

@@ -112,8 +112,8 @@ class Figure3:
     @property
     def correlation(self) -> FloatArray:
         """Correlation coefficient of the two errors over the acquisition at each level, (5,)."""
-        seen = np.isfinite(self.actual - self.simulated).all(axis=0)
-        pairs = zip(self.simulated[:, seen], self.actual[:, seen], strict=True)
+        valid = np.isfinite(self.actual - self.simulated).all(axis=0)
+        pairs = zip(self.simulated[:, valid], self.actual[:, valid], strict=True)
         return np.array([np.corrcoef(*pair)[0, 1] for pair in pairs])
 
     @property

@@ -82,7 +82,7 @@ class MethodRow:
 
 def _known_forces(rival: Rival, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     """Return true and nominal specific force (N, 3), m/s2, of a device that is mounted once per axis."""
-    true, stated = list[FloatArray](), list[FloatArray]()
+    true, reference = list[FloatArray](), list[FloatArray]()
     for axis in range(3):
         mount = rng.normal(0.0, NOTE_BENCH.mount_tilt, 3)
         up, along = np.eye(3)[axis], np.eye(3)[(axis + 1) % 3]
@@ -90,7 +90,7 @@ def _known_forces(rival: Rival, rng: np.random.Generator) -> tuple[FloatArray, F
             for angle in np.radians(np.arange(-90.0, 91.0, 15.0)):
                 lain = angle + rng.normal(0.0, PLANE_ANGLE)
                 shape = np.ones((round(STILL_S * RATE_HZ), 1))
-                stated.append(shape * STANDARD_GRAVITY * (np.cos(angle) * up + np.sin(angle) * along))
+                reference.append(shape * STANDARD_GRAVITY * (np.cos(angle) * up + np.sin(angle) * along))
                 actual = STANDARD_GRAVITY * (np.cos(lain) * up + np.sin(lain) * along)
                 true.append(shape * (actual + np.cross(mount, actual)))
             continue
@@ -98,10 +98,10 @@ def _known_forces(rival: Rival, rng: np.random.Generator) -> tuple[FloatArray, F
         time = np.arange(round(SINUSOID_S * RATE_HZ)) / RATE_HZ
         swing = -stroke * (2.0 * np.pi * frequency_hz) ** 2 * np.sin(2.0 * np.pi * frequency_hz * time)[:, None]
         way = along if rival == "trolley" else up
-        stated.append(STANDARD_GRAVITY * up + swing * way)
+        reference.append(STANDARD_GRAVITY * up + swing * way)
         actual = STANDARD_GRAVITY * up + (1.0 + rng.normal(0.0, error)) * swing * way
         true.append(actual + np.cross(mount, actual))
-    return np.concatenate(true), np.concatenate(stated)
+    return np.concatenate(true), np.concatenate(reference)
 
 
 def _by_known_forces(
@@ -110,7 +110,7 @@ def _by_known_forces(
     """Fit the accelerometers to the nominal force by least squares. The gyroscopes use the data sheet and a rest."""
     from undrift.sim.motion.motion import Motion
 
-    true, stated = _known_forces(rival, streams(rival))
+    true, reference = _known_forces(rival, streams(rival))
     still = np.zeros_like(true)
     time = np.arange(len(true)) / RATE_HZ
     level = np.tile([1.0, 0.0, 0.0, 0.0], (len(true), 1))
@@ -125,7 +125,7 @@ def _by_known_forces(
         settled, motion, rng=streams(f"{rival} noise"), temp_c=ROOM_TEMP_C, power_on_s=SETTLED_S
     ).record
     block = BLOCK_AT_REST if rival == "inclined plane" else BLOCK
-    force, reading = _block_means(stated, block), _block_means(np.asarray(record.accel), block)
+    force, reading = _block_means(reference, block), _block_means(np.asarray(record.accel), block)
     matrix = first_matrix(force, reading)
     scatter = (reading @ matrix.T - force).var(axis=0).mean()
     gls = solve_inverse(reading, force, None, matrix, {"noise": np.full(force.size, scatter)})

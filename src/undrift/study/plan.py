@@ -94,8 +94,8 @@ class StudyTask:
         if not re.fullmatch(r"[A-Za-z0-9_]+", self.name):
             raise InputError(f"task: the name must have letters, digits and _ only, got '{self.name}'. Rename it.")
         if self.motion is None and self.name not in get_args(TaskName):
-            known = ", ".join(get_args(TaskName))
-            raise InputError(f"task: expected one of {known}, got '{self.name}'. Name one, or add [task.motion].")
+            names = ", ".join(get_args(TaskName))
+            raise InputError(f"task: expected one of {names}, got '{self.name}'. Name one, or add [task.motion].")
         for numbers in self.variations():  # refuses a step that does not divide the span
             numbers[2].session()
 
@@ -322,8 +322,8 @@ def read_study(path: str | Path) -> Study:
     try:
         if head.device not in PRESETS:
             if not (folder / head.device).exists():
-                known = ", ".join(PRESETS)
-                raise InputError(f"device: expected one of {known}, or a device.json, got '{head.device}'.")
+                names = ", ".join(PRESETS)
+                raise InputError(f"device: expected one of {names}, or a device.json, got '{head.device}'.")
             text = json.dumps(device_json(read_device(folder / head.device)), sort_keys=True)
             frame |= {"device": Path(head.device).stem, "worn": text}
         custom_sessions = [

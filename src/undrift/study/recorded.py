@@ -139,16 +139,16 @@ class RecordedTask:
         """Return the motion at times (N,), s."""
         start = self.spline.span_s[0]
         motion = replace(self.spline.at(time - self.held_s + start, gravity_m_s2), time=time)
-        held = time < self.held_s
-        if not held.any():
+        is_start = time < self.held_s
+        if not is_start.any():
             return motion
         q_nb = self.spline.at(np.array([start]), gravity_m_s2).q_nb
         still, up = np.zeros(3), rotate(quaternion_conjugate(q_nb), np.array([0.0, 0.0, gravity_m_s2]))
         vectors = {"q_nb": q_nb, "rate_b": still, "mean_rate_b": still, "force_b": up, "angular_acceleration_b": still}
         at_rest: dict[str, Any] = {
-            name: np.where(held[:, None], row, getattr(motion, name)) for name, row in vectors.items()
+            name: np.where(is_start[:, None], row, getattr(motion, name)) for name, row in vectors.items()
         }
-        at_rest |= {"moving": motion.moving * ~held, "valid": np.where(held, 1.0, motion.valid)}
+        at_rest |= {"moving": motion.moving * ~is_start, "valid": np.where(is_start, 1.0, motion.valid)}
         return replace(motion, **at_rest)
 
 

@@ -235,8 +235,8 @@ def run_study(
     if people:  # no person counts twice
         wanted, most = min(wanted, *people), min(most, *people)
     while done < wanted:
-        for made in spread(partial(run_device, study), range(done, wanted)):
-            runs += made
+        for batch in spread(partial(run_device, study), range(done, wanted)):
+            runs += batch
             done += 1
             advance(done, most)
         if _is_narrow(study, runs) or wanted >= most:

@@ -215,8 +215,8 @@ def calibrate_before_soaks(
 def _bench(session: CalibrationSession, errors: BenchErrors) -> BenchSettings:
     protocol = session.protocol
     if protocol is None:
-        by_hand = replace(errors, face_tilt=HAND_FACE, hand_axis=HAND_AXIS)
-        return BenchSettings(sample_rate_hz=SAMPLE_RATE_HZ, errors=by_hand)
+        hand_errors = replace(errors, face_tilt=HAND_FACE, hand_axis=HAND_AXIS)
+        return BenchSettings(sample_rate_hz=SAMPLE_RATE_HZ, errors=hand_errors)
     rates = rate_grid(protocol.turn_rate_min, protocol.turn_rate_max, protocol.turn_rate_step, rule=protocol.grid)
     return BenchSettings(
         sample_rate_hz=SAMPLE_RATE_HZ,

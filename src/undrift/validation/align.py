@@ -90,14 +90,14 @@ def rotation_by_rates(record: Record, poses: Reference, *, lag_s: float) -> Floa
 def rotation_by_level(record: Record, poses: Reference, motion: MotionSpan, *, lag_s: float) -> FloatArray:
     """Return the rotation (3, 3) from their verticals at rest and rotation about a level axis."""
     start_s, stop_s = motion.start_s - REST_S, motion.start_s - LEAD_S
-    at_rest = poses.valid & (poses.time >= start_s - lag_s) & (poses.time < stop_s - lag_s)
+    rest = poses.valid & (poses.time >= start_s - lag_s) & (poses.time < stop_s - lag_s)
     forces = np.empty((0, 3)) if record.accel is None else record.accel
     forces = forces[((record.time >= start_s) & (record.time < stop_s))[: len(forces)]]
-    if not motion.rested or not at_rest.any() or not np.isfinite(forces).any():
+    if not motion.rested or not rest.any() or not np.isfinite(forces).any():
         raise AlignmentError(
             "alignment: no common vertical at rest before the motion. Start the recording with a rest."
         )
-    vertical = rotate(quaternion_conjugate(poses.q_nb[at_rest]), np.array([0.0, 0.0, 1.0])).mean(axis=0)
+    vertical = rotate(quaternion_conjugate(poses.q_nb[rest]), np.array([0.0, 0.0, 1.0])).mean(axis=0)
     g, f = (x / np.linalg.norm(x) for x in (vertical, np.nanmean(forces, axis=0)))
     q_level = quaternion_product(quaternion_conjugate(shortest_rotation_up(g)), shortest_rotation_up(f))
     rates, v = common_rates(record, poses, lag_s)

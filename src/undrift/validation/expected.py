@@ -140,8 +140,8 @@ def _sensitivity(run: Strapdown, model: TriadModel, source: OffsetSource) -> tup
     from undrift.kernels.rotation import accumulate
 
     gyro, time, q = np.ascontiguousarray(run.record.gyro), np.ascontiguousarray(run.record.time), run.q_nb
-    to_earth = si_factor(model.unit_out, "rate") * run.turned
-    matrix = to_earth @ model.matrix
+    projection = si_factor(model.unit_out, "rate") * run.turned
+    matrix = projection @ model.matrix
     force = np.zeros_like(gyro) if run.record.accel is None else np.nan_to_num(run.record.accel)
     u, rezeroed = gyro @ np.linalg.inv(matrix).T, source.rest in ("subtracted", "shown")
     sign = np.sign(u + model.offset) - np.sign(model.offset) * rezeroed  # subtracting an offset also removes c at rest
@@ -166,7 +166,7 @@ def _sensitivity(run: Strapdown, model: TriadModel, source: OffsetSource) -> tup
             columns.append(sums[..., 8 + row] @ matrix[:, row])
         else:
             place = {"m": column, "g": 4 + column, "moving": 7}[kind]
-            columns.append(sums[..., place] @ to_earth[:, row] * (1.0 if kind == "m" else -1.0))
+            columns.append(sums[..., place] @ projection[:, row] * (1.0 if kind == "m" else -1.0))
     moved = axes - axes[0]
     start = np.broadcast_to(np.eye(3), moved.shape)
     gain = np.concatenate((np.stack(columns, axis=2), steady, start, moved), axis=2)

@@ -405,11 +405,11 @@ def check_poses(record: Record, reference: Reference, longest_lag_s: float = LON
 
 
 def _corrected(record: Record, calibration: Calibration | None) -> tuple[Record, tuple[Finding, ...]]:
-    whole, record = record, unpadded(record)
+    full_record, record = record, unpadded(record)
     if calibration is None:
-        return record.in_si(), (*padding(whole, record), *check_triads(record))
+        return record.in_si(), (*padding(full_record, record), *check_triads(record))
     corrected = correct_checked(record, calibration)
-    return corrected.record.in_si(), (*padding(whole, record), *corrected.findings)
+    return corrected.record.in_si(), (*padding(full_record, record), *corrected.findings)
 
 
 def _worn(record: Record, settings: TrialSettings) -> Record:
@@ -484,17 +484,17 @@ def _track(
         start_s, stop_s = motion.start_s - shift_s, motion.start_s - shift_s + START_S
         if motion.rested:
             start_s, stop_s = start_s - REST_S, start_s - LEAD_S
-        at_poses = orientation_at(record.time, q, reference.time + shift_s)
-        return record.time, quaternion_product(_turn_to(reference, at_poses, start_s, stop_s, heading_only=True), q)
+        q_poses = orientation_at(record.time, q, reference.time + shift_s)
+        return record.time, quaternion_product(_turn_to(reference, q_poses, start_s, stop_s, heading_only=True), q)
     begin_s = motion.start_s - LEAD_S * motion.rested
     first = int(np.searchsorted(record.time, begin_s))
     time, gyro = record.time[first:], gyro[first:]
     check_gaps(gyro, time, "validate")
     if not motion.rested:
         q = integrate_strapdown(gyro, time, np.array([1.0, 0.0, 0.0, 0.0]))
-        at_poses = orientation_at(time, q, poses.time + shift_s)
-        start_s = poses.time[int(np.argmax(np.isfinite(at_poses).all(axis=1) & poses.valid))]
-        return time, quaternion_product(_turn_to(poses, at_poses, start_s, start_s + START_S), q)
+        q_poses = orientation_at(time, q, poses.time + shift_s)
+        start_s = poses.time[int(np.argmax(np.isfinite(q_poses).all(axis=1) & poses.valid))]
+        return time, quaternion_product(_turn_to(poses, q_poses, start_s, start_s + START_S), q)
     start = _turn_to(reference, None, begin_s + LEAD_S - REST_S - shift_s, begin_s - shift_s)
     if record.accel is not None:
         forces = record.accel[(record.time >= begin_s + LEAD_S - REST_S) & (record.time < begin_s)]

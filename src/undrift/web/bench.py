@@ -94,8 +94,8 @@ class Bench:
     def plain(self, text: str) -> str:
         """Return a text without folders of the bench, and with parameters called as on the page."""
         text = INTERNAL.sub("", text.replace(f"{self.folder}/", ""))
-        named = re.compile(r"`(\w+)`|--([a-z][a-z-]+)\b")
-        return named.sub(lambda m: OPTIONS.get((m[1] or m[2]).replace("-", "_"), m[1] or m[0]), text)
+        option_pattern = re.compile(r"`(\w+)`|--([a-z][a-z-]+)\b")
+        return option_pattern.sub(lambda m: OPTIONS.get((m[1] or m[2]).replace("-", "_"), m[1] or m[0]), text)
 
     # ---- The device
 

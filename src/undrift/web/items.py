@@ -96,13 +96,13 @@ def items_in(folder: Path) -> list[Item]:
     for group in ("uploads", "jobs"):
         (folder / group).mkdir(parents=True, exist_ok=True)
     places = [place for group in ("uploads", "jobs") for place in (folder / group).iterdir() if place.is_dir()]
-    found = [item for place in places if (item := _item_in(place)) is not None]
-    return sorted(found, key=lambda item: (item.folder / ABOUT).stat().st_ctime, reverse=True)
+    items = [item for place in places if (item := _item_in(place)) is not None]
+    return sorted(items, key=lambda item: (item.folder / ABOUT).stat().st_ctime, reverse=True)
 
 
 def _item_in(place: Path) -> Item | None:
-    for part in place.glob("**/sent.part"):
-        part.unlink()
+    for fragment in place.glob("**/sent.part"):
+        fragment.unlink()
     about = read_object(place / ABOUT)
     name = about.get("file") or next((path.name for path in place.iterdir() if not path.name.startswith(".")), "")
     if not name or not (place / str(name)).exists():

@@ -62,8 +62,8 @@ def towns() -> dict[str, tuple[float, float]]:
 
 def place_of(town: str, height: str = "", gravity: str = "") -> Site:
     """Return the place of a form: a town of the list or a latitude in deg, height in m, gravity in m/s2."""
-    known = {name.casefold(): where for name, where in towns().items()}
-    latitude_deg, height_m = known.get(town.strip().casefold(), (None, 0.0))
+    names = {name.casefold(): where for name, where in towns().items()}
+    latitude_deg, height_m = names.get(town.strip().casefold(), (None, 0.0))
     if latitude_deg is None and town.strip():
         latitude_deg = _number("town", town, "a town of the list, or its latitude in deg")
     height_m = _number("height", height, "metres above the sea") if height.strip() else height_m

@@ -355,8 +355,8 @@ def _fit_zero_sphere(cloud: FloatArray, rests: FloatArray, noise: float) -> Floa
         np.linalg.norm(sides.mean(axis=0)) < LOPSIDED and np.linalg.eigvalsh(sides.T @ sides / len(sides))[0] > FLAT
     )
     off = np.abs(np.linalg.norm(rests - zero, axis=1) - radius)
-    on_sphere = length.std() < THICK * radius and off.max() < OFF * radius
-    return zero if all_around and on_sphere and radius > NOISES * noise else None
+    is_sphere = length.std() < THICK * radius and off.max() < OFF * radius
+    return zero if all_around and is_sphere and radius > NOISES * noise else None
 
 
 def _longest_s(record: Record) -> float:

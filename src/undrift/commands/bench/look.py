@@ -50,27 +50,29 @@ class Looked:
 def look_at(path: Path, opening: Opening) -> Looked:
     """Return the content of a file."""
     progress(f"reading {path.name}", 0.1)
-    found = describe(path, opening.how(path))
+    description = describe(path, opening.how(path))
     progress("looking for rests and turns", 0.6)
-    session = found.session
+    session = description.session
     records = () if session is None else session.records
-    findings = [*found.findings, *filter(None, map(find_disagreement, records))]
-    model = read_calibration(path) if found.kind == "calibration" else None
+    findings = [*description.findings, *filter(None, map(find_disagreement, records))]
+    model = read_calibration(path) if description.kind == "calibration" else None
     missing = [item.values["missing"] for item in findings if item.code == "recording.not_read"]
     return Looked(
-        kind=found.kind,
-        summary="readings without time" if "sample_rate_hz" in missing else found.summary.partition("; needs a map")[0],
+        kind=description.kind,
+        summary="readings without time"
+        if "sample_rate_hz" in missing
+        else description.summary.partition("; needs a map")[0],
         serial=records[0].device if records else "" if model is None else model.device,
-        columns=found.columns,
+        columns=description.columns,
         missing=str(missing[0]) if missing else "",
         findings=[
             (item.level, item.sentence, item.action)
             for item in most_consequential_first(findings)
             if item.code not in ("recording.not_read", "recording.how_read")
         ],
-        draft=_draft_of(found),
-        reasons={} if found.proposal is None else dict(found.proposal.reasons),
-        trace={} if session is None or found.kind != "recording" else trace_of(session),
+        draft=_draft_of(description),
+        reasons={} if description.proposal is None else dict(description.proposal.reasons),
+        trace={} if session is None or description.kind != "recording" else trace_of(session),
         report=None if model is None else calibration_report(model),
     )
 
@@ -80,10 +82,10 @@ def assumes_gravity(session: Path) -> bool:
     return read_session(session).gravity_source == "standard"
 
 
-def _draft_of(found: Description) -> dict[str, Any]:
-    if found.kind != "table" or found.proposal is None:
+def _draft_of(description: Description) -> dict[str, Any]:
+    if description.kind != "table" or description.proposal is None:
         return {}
-    return tomllib.loads("\n".join(found.example).replace("= ?", '= "?"'))
+    return tomllib.loads("\n".join(description.example).replace("= ?", '= "?"'))
 
 
 def trace_of(session: Session) -> dict[str, Any]:

@@ -58,13 +58,13 @@ def listened(address: str) -> str:
 
 def found_devices() -> tuple[list[tuple[str, str]], list[str]]:
     """Return the addresses of serial ports and LSL streams with their names, and why some could not be searched."""
-    found, notes = list[tuple[str, str]](), list[str]()
+    senders, notes = list[tuple[str, str]](), list[str]()
     for kind, listed in (("serial://", serial_ports), ("lsl:", lsl_streams)):
         try:
-            found += [(kind + name, text) for name, text in listed()]
+            senders += [(kind + name, text) for name, text in listed()]
         except LinkError as error:
             notes.append(str(error))
-    return found, notes
+    return senders, notes
 
 
 class LiveDevice:
