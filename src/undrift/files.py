@@ -274,6 +274,23 @@ def hidden_folder(beside: Path) -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
+def write_folder(folder: Path, tree: Mapping[str, str]) -> None:
+    """Write text files into a new folder, all of them or nothing."""
+    if folder.exists():
+        raise InputError(f"{folder}: the folder exists already. Choose another name.")
+    if not folder.parent.is_dir():
+        raise InputError(f"{folder}: the folder {folder.parent} does not exist. Create it first.")
+    try:
+        with hidden_folder(folder.parent) as hidden:
+            draft = hidden / folder.name
+            for name, text in tree.items():
+                (draft / name).parent.mkdir(parents=True, exist_ok=True)
+                (draft / name).write_text(text, encoding="utf-8", newline="\n")
+            draft.rename(folder)
+    except OSError as error:
+        raise no_folder(folder, error) from error
+
+
 def take_lock(handle: int, wait_s: float = 2.0) -> None:
     """Lock an open file for this process (POSIX). OSError if another process still has the lock after ``wait_s`` seconds.
 

@@ -8,7 +8,7 @@ from cyclopts import Parameter
 from undrift.base.options import Output
 from undrift.commands.files import calibration_findings, check_output
 from undrift.export import ExportOptions, find_target
-from undrift.files import write_together
+from undrift.files import write_folder, write_together
 from undrift.io.store import read_calibration
 from undrift.report import Report, Table
 
@@ -28,19 +28,24 @@ def export(
     calibration : Path
         calibration.json of the device, or a calibration of imucal.
     target : str
-        c, constants, or a target of another package.
+        c, arduino, constants, or a target of another package.
     output : Path
         The output file. For c it is the header, with the source next to it. For constants it is .json or a C header .h.
+        For arduino it is a new folder, the library.
     options : ExportOptions
         Options that some targets take.
     """
     chosen = find_target(target)
     files = (output, *(output.with_suffix(ending) for ending in chosen.more))
-    for path, endings in zip(files, (chosen.endings, *((ending,) for ending in chosen.more)), strict=True):
-        check_output(path, endings=endings, reads=(calibration,))
+    if not chosen.folder:
+        for path, endings in zip(files, (chosen.endings, *((ending,) for ending in chosen.more)), strict=True):
+            check_output(path, endings=endings, reads=(calibration,))
     model = read_calibration(calibration)
     exported = chosen.write(model, options, output.name)
-    write_together(dict(zip(files, (exported.text, *exported.more), strict=True)))
+    if chosen.folder:
+        write_folder(output, exported.tree)
+    else:
+        write_together(dict(zip(files, (exported.text, *exported.more), strict=True)))
     lost = [(part,) for part in exported.not_carried]
     return Report(
         title=f"Calibration of {model.device or 'a device'} for {target}",

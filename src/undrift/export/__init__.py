@@ -1,6 +1,7 @@
 """Targets of ``undrift export``, each with a name and a function that writes the file.
 
     c            C source of the correction in float and double
+    arduino      a library folder with the same source and a sketch
     firmware     constants of correction/plan.py with tables that firmware can look up quickly
     constants    matrix and offset at one temperature, as JSON and as a C header
     losses       parts of a calibration that a target does not contain, with numbers
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
 TARGETS = {
     "c": "undrift.export.c:TARGET",
+    "arduino": "undrift.export.arduino:TARGET",
     "constants": "undrift.export.constants:TARGET",
 }
 GROUP = "undrift.targets"
@@ -60,7 +62,8 @@ class ExportOptions:
 class Target:
     """File endings and write function of a target."""
 
-    endings: tuple[str, ...]  # endings of the file
+    endings: tuple[str, ...] = ()  # endings of the file
+    folder: bool = False  # the output is a folder with the files of ``Exported.tree``
     more: tuple[str, ...] = ()  # endings of the further files, as many as ``Exported.more``
     write: "Callable[[Calibration, ExportOptions, str], Exported]"  # the last argument is the name of the file
 

@@ -1,7 +1,7 @@
 """Parts of a calibration that a target does not contain, as sentences with figures."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -24,12 +24,15 @@ class Exported:
         Requirements for the user of the file.
     more : tuple of str
         Further files, written next to it.
+    tree : mapping
+        Files of a folder by their names in it, for a target that writes a folder.
     """
 
     text: str
     not_carried: tuple[str, ...]
     notes: tuple[str, ...] = ()
     more: tuple[str, ...] = ()
+    tree: Mapping[str, str] = field(default_factory=dict)
 
 
 Part = Literal[
