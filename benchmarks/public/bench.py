@@ -256,13 +256,18 @@ def blocks_of(record: Record, stills: Sequence[Still]) -> RestBlocks:
     return observe_rests([session], temperatures=[[record.temp_c]])
 
 
-def warm_up() -> Table:
-    """Return what tables of a warm-up leave of the minutes that they did not see."""
+def warm_up_record() -> Record:
+    """Return the warm-up."""
     raw = loaded("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz", skip=1, delimiter=",")
-    record = Record(
+    return Record(
         time=1e-3 * raw[:, 12], gyro=raw[:, 3:6] / 16.4, accel=raw[:, :3] / 16384.0, temp_c=raw[:, 9] / 340.0 + 36.53,
         gyro_unit="dps", accel_unit="g",
     )  # fmt: skip
+
+
+def warm_up() -> Table:
+    """Return what tables of a warm-up leave of the minutes that they did not see."""
+    record = warm_up_record()
     edges = np.searchsorted(record.time - record.time[0], np.arange(0.0, record.duration_s, 60.0))
     minutes = [Still(start=int(a), stop=int(b)) for a, b in pairwise(edges)]
     residuals: dict[str, list[float]] = {}
