@@ -60,7 +60,7 @@ BAD = {  # a call that is refused
     "rig stop": f"rig stop --rig '{NOBODY}'",
     "rig check": "rig check --rig manual:",
     "bench": "bench --port 70000",
-    "study": "study --preset note --seed -1",
+    "study": "study --preset note --subjects 1",
     "demo": "demo --out {here}",
 }
 LEAVES = list(FUNCTIONS)

@@ -31,7 +31,7 @@ def test_every_target_is_written_and_says_what_it_cannot_carry(undrift, bench, t
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("flag", "kind"), [([], "float"), (["--double"], "double")])
+@pytest.mark.parametrize(("flag", "kind"), [([], "float"), (["-DFOOT_DOUBLE"], "double")])
 def test_the_c_source_compiles_in_the_arithmetic_that_was_chosen(undrift, bench, tmp_path, flag, kind):
     words = [
         "export",
@@ -42,12 +42,13 @@ def test_the_c_source_compiles_in_the_arithmetic_that_was_chosen(undrift, bench,
         tmp_path / "foot-1.h",
         "--prefix",
         "foot",
-        *flag,
     ]
     undrift.good(*words)
     body = f"{kind} x = 0;\n    foot_t *y = &x;\n    return (int)*y;"
     (tmp_path / "main.c").write_text(f'#include "foot-1.h"\nint main(void)\n{{\n    {body}\n}}\n')
-    subprocess.run(["gcc", *STRICT, tmp_path / "foot-1.c", tmp_path / "main.c", "-o", tmp_path / "a"], check=True)
+    subprocess.run(
+        ["gcc", *STRICT, *flag, tmp_path / "foot-1.c", tmp_path / "main.c", "-o", tmp_path / "a"], check=True
+    )
 
 
 BOARD = """

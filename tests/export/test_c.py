@@ -125,11 +125,11 @@ def test_the_header_says_what_a_reader_must_know():
     calibration = device(
         drift=tables(), verdict=Verdict(status="marginal"), provenance=Provenance(created="2026-01-02T03:04:05Z")
     )
-    header = export_c(calibration, ExportOptions(double=True), date="2026-05-06").header
+    header = export_c(calibration, date="2026-05-06").header
     for text in ("sensor A", "2026-01-02", "2026-05-06", "marginal", "rad/s", "m/s2", "degC", "frame b", "count",
                  "18 to 75 degC", "Order of the steps"):  # fmt: skip
         assert text in header, text
-    assert "#define UNDRIFT_DOUBLE\n" in header
+    assert "defined(UNDRIFT_DOUBLE)" in header
     assert max(len(line) for line in header.splitlines()) <= 130
 
 

@@ -28,7 +28,6 @@ def drift(
     step_c: float = 0.5,
     spline: Literal["smooth", "not-a-knot"] = "smooth",
     tables: Literal["none", "scale", "dynamic", "scale+dynamic"] = "scale+dynamic",
-    lag_s: float | None = None,
     warm_up: Flag = False,
     opening: Opening = Opening(),
 ) -> Report:
@@ -51,14 +50,11 @@ def drift(
         smooth (stiffness by restricted likelihood), or not-a-knot (through the set-points, as the note does).
     tables : str
         Tables in addition to offsets, if the turns determine them.
-    lag_s : float or None
-        Thermometer lag, s. By default it is estimated from ramps at two speeds. 0 disables the correction.
     warm_up : bool
         Fit the power-on transient at the start of each recording, or of each clock that restarts.
     """
     settings = DriftSettings(
         step_c=step_c,
-        lag_s=lag_s,
         tables="scale + dynamic" if tables == "scale+dynamic" else tables,
         static=StaticSettings(not_a_knot=spline == "not-a-knot", warm_up=warm_up),
     )

@@ -30,7 +30,7 @@ from undrift.rig.run import Mounted, Progress, RigBench, RunResult, run_programm
 from undrift.rig.simulated import SimulatedBench, SimulatedSettings
 from undrift.screen import screen
 from undrift.sim.device.presets import PRESETS, random_device
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+from undrift.units import RADIAN_PER_DEGREE
 
 TableAddress: TypeAlias = Annotated[str, Parameter(help="Address of the table.")]
 
@@ -72,7 +72,6 @@ def run(
     output: Output,
     chamber: str | None = None,
     serial: str = "",
-    gravity_m_s2: float | None = None,
     highest_turn_rate_dps: float = HIGHEST_DPS,
     highest_acceleration_dps2: float = HIGHEST_DPS2,
     shaft: Shaft = Shaft(),
@@ -100,8 +99,6 @@ def run(
         manual: a person sets the chamber, and the device's thermometer detects the end of the soak.
     serial : str
         Serial number of the device. The default is taken from its address.
-    gravity_m_s2 : float or None
-        Local gravity, m/s2. Without it, session.toml contains no gravity, and standard gravity is assumed.
     highest_turn_rate_dps : float
         Largest commanded rate, deg/s.
     highest_acceleration_dps2 : float
@@ -123,7 +120,7 @@ def run(
         settings.limits,
         kind == "manual",
     )
-    simulated = _simulated_bench(device, (rig, chamber), options, gravity_m_s2)
+    simulated = _simulated_bench(device, (rig, chamber), options)
     programme = programme_of(protocol_content, ProgrammeSettings(encoder_lines=options.encoder_lines))
     if not resume:
         check_programme(programme, limits, by_hand=manual)  # before there is a folder
@@ -141,7 +138,7 @@ def run(
         else:
             bench, devices = _parts_of_simulated_bench(simulated, folders, with_chamber=chamber is not None)
         devices[0].serial = serial or devices[0].serial
-        results = run_programme(programme, bench, *devices, report=display, gravity_m_s2=gravity_m_s2)
+        results = run_programme(programme, bench, *devices, report=display)
     return run_report(dict(zip(paths.values(), results, strict=True)))
 
 
@@ -201,7 +198,7 @@ def _folders(output: Path, device: str | tuple[str, ...], serial: str) -> dict[s
 
 
 def _simulated_bench(
-    device: str | tuple[str, ...], addresses: tuple[str, str | None], options: RigSettings, gravity_m_s2: float | None
+    device: str | tuple[str, ...], addresses: tuple[str, str | None], options: RigSettings
 ) -> SimulatedBench | None:
     """Create a simulated bench if the table is simulated. All parts of a bench must be simulated, or none."""
 
@@ -215,7 +212,7 @@ def _simulated_bench(
             f"rig run: rig, chamber and devices must be either all simulated or all real, got {', '.join(texts)}. "
             f"Use simulated: for each."
         )
-    models, settings = [], SimulatedSettings(limits=options.limits, gravity_m_s2=gravity_m_s2 or STANDARD_GRAVITY)
+    models, settings = [], SimulatedSettings(limits=options.limits)
     for text in devices:
         told = dict(split_address(text, "device", {"simulated": ""}, "", "Name how it is connected")[2])
         try:

@@ -39,7 +39,6 @@ def study(
     target_deg: float | None = None,
     categories: str | None = None,
     subjects: int | None = None,
-    seed: int | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
 ) -> Report:
@@ -60,8 +59,6 @@ def study(
         and those of the plan. Each performs every task.
     subjects : int or None
         Number of devices, each on a person of its own; the plan's if not given, otherwise 30.
-    seed : int or None
-        Other seed than the plan's; the same seed gives the same numbers with any number of workers.
     workers : int or None
         Processes on this machine; all its processors if not given.
     scheduler : str or None
@@ -71,7 +68,7 @@ def study(
         raise InputError(
             f"study: expected a study.toml or `preset` note, got {'both' if plan else 'neither'}. Name one."
         )
-    planned = _planned(plan, target_deg, categories, subjects, seed)
+    planned = _planned(plan, target_deg, categories, subjects)
     check_folder(output)
     if output.is_dir() and any(output.iterdir()) and not (output / "runs.parquet").is_file():
         raise InputError(f"{output}: this folder contains other files. Name a new folder, or the folder of a study.")
@@ -108,9 +105,7 @@ def study(
     return report
 
 
-def _planned(
-    plan: Path | None, target_deg: float | None, categories: str | None, subjects: int | None, seed: int | None
-) -> Study:
+def _planned(plan: Path | None, target_deg: float | None, categories: str | None, subjects: int | None) -> Study:
     planned = note_study() if plan is None else read_study(plan)
     if target_deg is not None:
         if not target_deg > 0.0:
@@ -122,10 +117,6 @@ def _planned(
         planned = replace(
             planned, subjects=subjects, subjects_max=max(subjects, planned.subjects_max if plan else subjects)
         )
-    if seed is not None:
-        if seed < 0:
-            raise InputError(f"study: `seed` must be 0 or more, got {seed}.")
-        planned = replace(planned, seed=seed)
     return planned if categories is None else with_categories(planned, [name.strip() for name in categories.split(",")])
 
 

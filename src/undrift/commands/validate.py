@@ -3,7 +3,7 @@
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from undrift.base.options import Files, Flag, OptionalOutput, Side
 from undrift.calibration.calibrate import calibrate_to_references
@@ -12,7 +12,6 @@ from undrift.commands.calibration_file import choose_calibration
 from undrift.commands.files import (
     Opening,
     Optics,
-    Place,
     calibration_findings,
     check_folder,
     check_physical,
@@ -46,7 +45,6 @@ def validate(
     calibration: Path | None = None,
     calibrate_from: Literal["reference"] | None = None,
     leave_one_out: Flag = False,
-    gravity_m_s2: float | None = None,
     offset: Literal["none", "rest", "motion"] = "rest",
     forward: Side | None = None,
     up: Side | None = None,
@@ -68,8 +66,6 @@ def validate(
         its serial number, local gravity, and that it was mounted once.
     leave_one_out : bool
         With --calibrate-from: each recording is compared after a fit to the others.
-    gravity_m_s2 : float or None
-        With --calibrate-from: local gravity, m/s2; standard gravity is assumed, and reported, where nothing is given.
     offset : str
         "rest" subtracts the mean rate of the first still phase, "motion" also what gravity shows from there on, or without any
         rest, as correct and orient do. "none" does not.
@@ -85,9 +81,8 @@ def validate(
     output : Path or None
         Folder for validation.json, report.html and, with --calibrate-from, calibration.json.
     """
-    for name, value in (("leave_one_out", leave_one_out), ("gravity_m_s2", gravity_m_s2)):
-        if value and calibrate_from is None:
-            raise InputError(f"validate: `{name}` requires `calibrate_from` reference. Give both, or neither.")
+    if leave_one_out and calibrate_from is None:
+        raise InputError("validate: `leave_one_out` requires `calibrate_from` reference. Give both, or neither.")
     if calibrate_from is not None and calibration is not None:
         raise InputError("validate: `calibration` and `calibrate_from` exclude each other. Give one of them.")
     if not 0.0 < max_lag_s < math.inf:
@@ -106,7 +101,7 @@ def validate(
         return _written(report, output, inputs, name="levels.json")
     chosen = choose_calibration(calibration, records, opening)
     with reading(READ, *dict.fromkeys((*records, *optics.reference))):
-        records, session = recordings_of(records, opening, Place(gravity_m_s2=gravity_m_s2))
+        records, session = recordings_of(records, opening)
         pairs = optics.pairs(records, opening.like(chosen.model, chosen.path), command="validate", session=session)
     settings = replace(
         settings,
@@ -120,7 +115,7 @@ def validate(
     model, mounting = chosen.model, (session and session.mounting) or "each"
     if calibrate_from is not None:
         progress("fitting to all recordings", READ)
-        model = _fit(pairs, session, gravity_m_s2, mounting, settings.longest_lag_s)
+        model = _fit(pairs, session, mounting, settings.longest_lag_s)
     names = [name_of(path) for path in records]
     with part(READ, 1.0):
         result, levels, fits = _compare(pairs, names, model, settings, mounting if leave_one_out else None)
@@ -151,16 +146,16 @@ def _check_readings(
 def _fit(
     pairs: list[tuple[Record, Reference]],
     session: Session | None,
-    gravity_m_s2: float | None,
     mounting: Mounting,
     longest_lag_s: float,
 ) -> Calibration:
     """Return the device calibrated by all references."""
-    place: dict[str, Any] = {"gravity_m_s2": gravity_m_s2}
-    if session is not None and session.gravity_source != "standard":
-        place = {"gravity_m_s2": session.gravity_m_s2}
+    stated = session is not None and session.gravity_source != "standard"
+    gravity_m_s2 = session.gravity_m_s2 if session is not None and stated else None
     records, references = [record for record, _ in pairs], [reference for _, reference in pairs]
-    model = calibrate_to_references(records, references, mounting=mounting, longest_lag_s=longest_lag_s, **place)
+    model = calibrate_to_references(
+        records, references, mounting=mounting, longest_lag_s=longest_lag_s, gravity_m_s2=gravity_m_s2
+    )
     return model if session is None else replace(model, device=session.serial or model.device)
 
 

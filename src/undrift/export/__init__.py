@@ -39,8 +39,6 @@ class ExportOptions:
 
     Parameters
     ----------
-    double : bool
-        c: use double if the build does not define the arithmetic.
     prefix : str
         c: prefix of all names, in lower case.
     gyro_unit : str or None
@@ -51,7 +49,6 @@ class ExportOptions:
         constants: temperature at which tables are read, degC, the reference temperature by default.
     """
 
-    double: bool = False
     prefix: str = "undrift"
     gyro_unit: str | None = None
     accel_unit: str | None = None

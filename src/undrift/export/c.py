@@ -269,11 +269,10 @@ def _header(
     lead: firmware.Lead | None,
     date: str,
 ) -> str:
-    default = "double" if options.double else "float"
     gyro = triads[1]
     warm = gyro.warm_up_table
     about = {
-        "title": _title(calibration), "default": default, "date": date, "p": options.prefix,
+        "title": _title(calibration), "date": date, "p": options.prefix,
         "P": options.prefix.upper(), "triads": triads, "created": calibration.provenance.created, "lead": lead,
         "verdict": calibration.verdict.status, "notes": notes, "span": _span,
         "lag_s": f"{lead.lag_s:g}" if lead else "", "smooth_s": f"{lead.smooth_s:g}" if lead else "",
