@@ -1,0 +1,48 @@
+"""What each command prints on a terminal of 80 columns, with a mark in place of each number: approved in ``transcripts``.
+
+``UNDRIFT_APPROVE=1`` writes the texts anew. Read the changes before you commit them.
+"""
+
+import os
+import re
+import shlex
+import textwrap
+from pathlib import Path
+
+import pytest
+
+from cli.test_app_envelope import GOOD, WARM
+from testkit.command_line import at_rest
+from testkit.data import data_path
+from testkit.terminal import Terminal, on
+from undrift.cli.app import run
+
+FOLDER = Path(__file__).parent / "transcripts"
+
+
+@pytest.mark.parametrize("name", sorted(GOOD))
+def test_a_command_prints_its_approved_transcript(name, bench, tmp_path, monkeypatch):
+    (tmp_path / "warm.toml").write_text(WARM)
+    at_rest(tmp_path, "rest.csv")
+    if name == "record":
+        monkeypatch.setattr("undrift.live.transports.serial_ports", lambda: [("/dev/ttyUSB0", "Arduino Uno")])
+        monkeypatch.setattr("undrift.live.transports.lsl_streams", list)
+    names = {"bench": bench, "here": tmp_path, "warm": data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz")}
+    with on(place := Terminal(), 80):
+        assert run(shlex.split(GOOD[name].format(**names))) in (0, 1)
+    text = (
+        place.getvalue().replace(str(names["warm"]), "WARM").replace(str(tmp_path), "HERE").replace(str(bench), "BENCH")
+    )
+    text = anonymous(text)
+    approved = FOLDER / f"{name}.txt"
+    if os.environ.get("UNDRIFT_APPROVE"):
+        FOLDER.mkdir(exist_ok=True)
+        approved.write_text(text, encoding="utf-8")
+    assert text == approved.read_text(encoding="utf-8")
+
+
+def anonymous(text: str) -> str:
+    """Return the words without control characters, numbers, rules and line breaks, which depend on the numbers."""
+    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]|\r|─", "", text)
+    text = re.sub(r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?", "#", text)
+    return textwrap.fill(" ".join(text.split()), 100, break_long_words=False, break_on_hyphens=False) + "\n"
