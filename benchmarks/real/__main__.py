@@ -19,7 +19,7 @@ from benchmarks.real.rows import ROWS
 ROOT = Path(__file__).parents[2]
 LIMITS = ROOT / "benchmarks" / "real.toml"
 RESULTS, PAGE = ROOT / "docs" / "real.json", ROOT / "docs" / "real.md"
-BEGIN, END = "<!-- table -->\n", "<!-- end of table -->\n"
+BEGIN, END = " <!-- table -->\n", " <!-- end of table -->\n"
 MARGIN = 1.1  # a row that loses to the best rival by more has a reason
 
 
