@@ -274,8 +274,9 @@ def hidden_folder(beside: Path) -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def write_folder(folder: Path, tree: Mapping[str, str]) -> None:
-    """Write text files into a new folder, all of them or nothing."""
+@contextmanager
+def new_folder(folder: Path) -> Iterator[Path]:
+    """Yield a hidden draft of a new folder. It gets its name at the end of the block, all of it or nothing."""
     if folder.exists():
         raise InputError(f"{folder}: the folder exists already. Choose another name.")
     if not folder.parent.is_dir():
@@ -283,9 +284,7 @@ def write_folder(folder: Path, tree: Mapping[str, str]) -> None:
     try:
         with hidden_folder(folder.parent) as hidden:
             draft = hidden / folder.name
-            for name, text in tree.items():
-                (draft / name).parent.mkdir(parents=True, exist_ok=True)
-                (draft / name).write_text(text, encoding="utf-8", newline="\n")
+            yield draft
             draft.rename(folder)
     except OSError as error:
         raise no_folder(folder, error) from error

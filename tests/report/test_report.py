@@ -75,12 +75,15 @@ def test_verdict_and_exit_code_follow_from_the_findings(levels, judged, verdict,
 
 def test_a_terminal_shows_warnings_first_and_the_rest_with_details():
     hidden = Table(title="Hidden", columns=("a",), rows=[(7.125,)], form="g")
-    short, long = (terminal_text(report(details=[hidden]), details=details) for details in (False, True))
-    assert "The rate is 3 deg/s. Rest longer." in short
-    assert "1 more: --details" in short
+    facts = [finding(f"a.fact_{k}", "info", f"Fact {k} is known.") for k in range(3)]
+    shown = report(details=[hidden], findings=[*facts, WARNING])
+    short, long = (terminal_text(shown, details=details) for details in (False, True))
+    assert short.index("The rate is 3 deg/s. Rest longer.") < short.index("Fact 0") < short.index("1 more: --details")
+    assert "(Hidden): --details" in short
     assert "7.125" not in short
     assert "7.125" in long
-    assert "The session lasts 60 s." in long
+    assert "Fact 2 is known." not in short
+    assert "Fact 2 is known." in long
 
 
 def test_a_zero_has_no_sign():

@@ -8,7 +8,7 @@ from cyclopts import Parameter
 from undrift.base.options import Output
 from undrift.commands.files import calibration_findings, check_output
 from undrift.export import ExportOptions, find_target
-from undrift.files import write_folder, write_together
+from undrift.files import new_folder, write_together
 from undrift.io.store import read_calibration
 from undrift.report import Report, Table
 
@@ -43,7 +43,10 @@ def export(
     model = read_calibration(calibration)
     exported = chosen.write(model, options, output.name)
     if chosen.folder:
-        write_folder(output, exported.tree)
+        with new_folder(output) as draft:
+            for name, text in exported.tree.items():
+                (draft / name).parent.mkdir(parents=True, exist_ok=True)
+                (draft / name).write_text(text, encoding="utf-8", newline="\n")
     else:
         write_together(dict(zip(files, (exported.text, *exported.more), strict=True)))
     lost = [(part,) for part in exported.not_carried]

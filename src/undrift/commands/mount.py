@@ -78,12 +78,6 @@ def mount(
     )
 
 
-def mounting_of(calibration: Path | None) -> str:
-    """Return a sentence about the mounting in a calibration, or "" without a mounting."""
-    worn = None if calibration is None else read_calibration(calibration).mounting
-    return "" if worn is None else statement_of(worn)
-
-
 def _axes(worn: BodyMounting) -> Table:
     uncertainty = np.sqrt(np.diag(worn.covariance)) / RADIAN_PER_DEGREE
     rows = []

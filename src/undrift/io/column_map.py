@@ -330,11 +330,6 @@ def _native_triple(names: Names, channel: str, suffixes: Mapping[str, str]) -> t
 # ---- maps in files, in calls and in calibrations
 
 
-def map_of_tree(tree: Mapping[str, Any]) -> ColumnMap:
-    """Return a map of plain values, checked as JSON: strict, and lists are tuples there."""
-    return ColumnMap.model_validate_json(json.dumps(tree, default=str))
-
-
 def read_toml(model: type[Table], path: str | Path) -> tuple[Table, str]:
     """Return the value of a TOML file, and its text. An error names line and entry."""
     tree, text = codec.toml_of(path)

@@ -15,7 +15,7 @@ from undrift.files import write_whole
 from undrift.findings import Finding
 from undrift.io.column_map import ColumnMap, file_map_of
 from undrift.io.imucal import is_imucal, read_imucal
-from undrift.model import Calibration, Verdict
+from undrift.model import Calibration
 from undrift.record import FileMap
 
 KIND = "undrift.calibration"
@@ -99,11 +99,6 @@ def hash_of(content: Mapping[str, Any]) -> str:
     """Return the sha256 of a JSON object with sorted keys, without spaces, in UTF-8: the same however its file is laid out."""
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
     return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()  # names of files may be no UTF-8
-
-
-def verdict_json(verdict: Verdict) -> dict[str, Any]:
-    """Return a verdict as files and ``--json`` hold it: status, reasons as texts, findings with their numbers."""
-    return dict(codec.tree_of(verdict))
 
 
 def findings_json(findings: Iterable[Finding]) -> list[dict[str, Any]]:

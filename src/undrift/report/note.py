@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_SIZE, _LINE, _PAD, _GAP, _EDGE = 8.7, 10.8, 5.0, 13.0, 4.0  # points
+_SIZE = 8.7  # points
 
 
 def draw_figure3(figure3: Figure3, names: Sequence[str]) -> "Figure":

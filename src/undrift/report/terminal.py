@@ -30,6 +30,8 @@ def show(report: Report, *, details: bool = False) -> None:
         _show_findings(report, details=details)
         for table in (*report.tables, *(report.details if details else ())):
             _show_table(table)
+        if report.details and not details:
+            say(f"  More tables ({', '.join(table.title for table in report.details)}): --details")
         say(*(f"  {note}" for note in report.notes), *(f"Wrote {path}" for path in report.written))
         if report.next_command:
             say("Next: undrift " + shlex.join(map(str, report.next_command)))
@@ -66,8 +68,7 @@ def wrap(line: str, width: int, **options: Any) -> list[str]:
 
 def _show_findings(report: Report, *, details: bool) -> None:
     findings = report.ordered_findings
-    alarms = [item for item in findings if item.level != "info"]
-    visible = findings if details else (alarms if alarms or not report.judged else findings)[:SHOWN_FIRST]
+    visible = findings if details else findings[:SHOWN_FIRST]
     say(*(f"  - {item.text}" for item in visible))
     if len(findings) > len(visible):
         say(f"  {len(findings) - len(visible)} more: --details")

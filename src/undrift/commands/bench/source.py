@@ -40,7 +40,6 @@ class Status:
     """State of a source."""
 
     error: str  # a message, or "" while readings come
-    nominal_rate_hz: float
     sample_rate_hz: float  # measured over the last seconds, device time; NaN before that
     readings: int  # Since the source was started
     lost: int  # Numbers that are missing
@@ -88,11 +87,6 @@ class LiveDevice:
         self._file_start, self._file_error = math.nan, ""
 
     @property
-    def nominal_rate_hz(self) -> float:
-        """Return the nominal readings per second of the device."""
-        return self.recorder.source.description.rate
-
-    @property
     def speed(self) -> float:
         """Return the device seconds per second of the host, which is 1 for hardware."""
         return self.recorder.source.description.clock_speed
@@ -136,7 +130,6 @@ class LiveDevice:
             readings, lost, garbled = (self._before + self._tally()).tolist()
             return Status(
                 error=self.error,
-                nominal_rate_hz=description.rate,
                 sample_rate_hz=rate,
                 readings=readings,
                 lost=lost,
