@@ -14,6 +14,7 @@ from undrift.calibration.codes import (
     device_adc,
     identify_adc,
     rounding_correlation,
+    unknown_rounding,
     without_truncation,
 )
 from undrift.calibration.settings import CalibrateSettings
@@ -69,6 +70,20 @@ def test_offset_subtracted_from_the_codes_hides_the_rounding():
 def test_few_readings_or_constant_ones_have_no_grid():
     assert np.isnan(code_grid(np.zeros(100))[0])
     assert np.isnan(code_grid(np.array([1.0, 2.0, np.nan]))[0])
+
+
+@pytest.mark.parametrize(
+    ("gyro", "step"),
+    [
+        (lambda rng: np.trunc(sweeping(rng)), 0.0),
+        (lambda rng: np.trunc(rng.normal(0.0, 3.0, (20000, 3))), 1.0),
+        (lambda rng: np.trunc(rng.normal(40.0, 3.0, (20000, 3))), 0.0),
+        (sweeping, 0.0),
+    ],
+)
+def test_only_codes_on_both_sides_of_zero_have_an_unknown_rounding(gyro, step):
+    readings = gyro(np.random.default_rng(8))
+    assert unknown_rounding([Record(time=np.arange(len(readings)) / 100.0, gyro=readings)]) == pytest.approx(step)
 
 
 def test_the_model_keeps_only_what_is_certain():

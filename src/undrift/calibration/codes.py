@@ -35,6 +35,7 @@ FLOAT_DUST = 4.0 * float(np.finfo(np.float32).eps)  # relative to the largest re
 SIDE_CODES = 8  # codes on either side of zero that give its expected count
 SWEEP_SAMPLES, SWEEP_CODES = 5, 20  # a sample is in motion if the readings 5 before and 5 after differ by 20 codes
 MIN_SWEPT = 100  # samples in motion near code 0
+SUBTRACTED = "an offset was subtracted from the codes"
 SIGMAS = 4.0  # standard errors by which the other ratio must be excluded
 
 
@@ -53,7 +54,7 @@ def identify_adc(values: FloatArray) -> CodeGrid:
     if np.isnan(steps).any():
         return CodeGrid(lsb=None, rounding=None, reason="readings lie on no grid")
     if (np.abs(phases) >= MAX_PHASE).any():
-        return CodeGrid(lsb=steps, rounding=None, reason="an offset was subtracted from the codes")
+        return CodeGrid(lsb=steps, rounding=None, reason=SUBTRACTED)
     counts = np.array([_swept_codes(column, step) for column, step in zip(values.T, steps, strict=True)])
     counts_beyond = np.delete(counts, SIDE_CODES, axis=1)
     if (counts_beyond.sum(axis=1) >= MIN_SWEPT).sum() < 2:
@@ -84,6 +85,22 @@ def device_adc(records: Sequence[Record]) -> AdcModel | None:
         if grid is not None and grid.rounding is not None:
             fields |= {f"{name}_lsb": grid.lsb, f"{name}_rounding": grid.rounding}
     return AdcModel(**fields) if fields else None
+
+
+def unknown_rounding(records: Sequence[Record]) -> float:
+    """Return the step of gyroscope codes on both sides of zero whose rounding is not known, unit of the readings, or 0.
+
+    If they are truncated toward zero, the offset of a rest on one side differs from that of motion on the other.
+    """
+    readings = [record.gyro for record in records if record.gyro is not None]
+    if not readings:
+        return 0.0
+    values = np.concatenate(readings)
+    grid = identify_adc(values)
+    if grid.lsb is None or grid.rounding is not None or grid.reason == SUBTRACTED:
+        return 0.0
+    both_sides = (np.nanmin(values, axis=0) < -grid.lsb) & (np.nanmax(values, axis=0) > grid.lsb)
+    return float(grid.lsb[both_sides].max(initial=0.0))
 
 
 def code_grid(column: FloatArray) -> tuple[float, float]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from undrift import segments
 from undrift.arrays import FloatArray
-from undrift.calibration.codes import code_steps, code_variance, device_adc, restored
+from undrift.calibration.codes import code_steps, code_variance, device_adc, restored, unknown_rounding
 from undrift.calibration.plausibility import SCALE_TOLERANCE, saturated
 from undrift.calibration.quality import (
     CUT_OFF_SHARE,
@@ -38,6 +38,7 @@ from undrift.model import AdcModel
 from undrift.record import FACES, Record, Session, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
+SWEEP_THROUGH_ZERO = "Add slow turns in both directions about each axis, so that the readings pass through zero."
 FULL_TURN = 2.0 * np.pi  # rad
 FREE_POSES_SHARE = 0.1  # largest share of free poses among rests on faces
 CUT_OFF_S = 0.3  # a recording that turns throughout its last part is cut off
@@ -274,6 +275,7 @@ def observe(session: Session, settings: CalibrateSettings) -> Observed:
     for record in session.records:
         check_force(record)
     adc = device_adc(session.records) if settings.identify_adc else None
+    step = unknown_rounding(session.records) if settings.identify_adc else 0.0
     session = replace(session, records=tuple(restored(record, adc) for record in session.records))
     observed = look(session, settings)
     findings = [
@@ -289,6 +291,14 @@ def observe(session: Session, settings: CalibrateSettings) -> Observed:
     ]
     findings += check_stills(session, observed.stills, listed=not observed.found)
     findings += check_turns(session, observed.stills, settings.settle_s)
+    if step:
+        unit = session.records[0].gyro_unit
+        sentence = (
+            "It is not known whether the codes of the gyroscope are truncated toward zero. If they are, the offset in motion "
+            f"differs from that at a rest by half a step ({step / 2.0:.3g} {unit}), and the pitch after a minute of motion "
+            "can exceed its limit."
+        )
+        findings.append(finding("session.rounding_unknown", "info", sentence, SWEEP_THROUGH_ZERO, step=step))
     return replace(observed, findings=tuple(findings), adc=adc).with_turns()
 
 

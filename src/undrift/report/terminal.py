@@ -46,7 +46,7 @@ def say(*lines: str, err: bool = False, style: str = "") -> None:
 
 
 def console(*, err: bool = False) -> "Console":
-    """Return the console for results (stdout) or messages (stderr), as wide as a table needs where that is not a terminal."""
+    """Return the console for results (stdout) or messages (stderr). Without a terminal it is as wide as a table needs."""
     from rich import console as rich
 
     class Console(rich.Console):
