@@ -60,9 +60,9 @@ class Finding:
     >>> rng = np.random.default_rng(7)
     >>> device = undrift.random_device(rng)
     >>> calibration = undrift.calibrate(undrift.simulate_session("six_face", device, rng=rng))
-    >>> finding = calibration.verdict.findings[0]
-    >>> finding.code, finding.level, finding.sentence
-    ('session.not_observable', 'info', 'The session does not determine the gyroscope.')
+    >>> found = {finding.code: finding for finding in calibration.verdict.findings}
+    >>> found["session.not_observable"].level, found["session.not_observable"].sentence
+    ('info', 'The session does not determine the gyroscope.')
     """
 
     code: str

@@ -133,7 +133,7 @@ def test_real_still_that_begins_too_early_is_refused():
     )
     good = Still(start=540, stop=1271, face="+x")
     session = Session(kind="calibration", serial="", gravity_m_s2=9.81, records=(record,), stills=(good,))
-    assert observe(session, CalibrateSettings()).findings == ()
+    assert {finding.level for finding in observe(session, CalibrateSettings()).findings} <= {"info"}
     early = replace(session, stills=(replace(good, start=102, stop=1434),))
     with pytest.raises(Implausible, match=r"sway by 55.3"):
         observe(early, CalibrateSettings())
