@@ -175,6 +175,7 @@ def restored(record: Record, adc: AdcModel | None, codes: FloatArray | None = No
 
 _NOISES = np.linspace(0.0, 1.0, 201)  # s / q
 _HARMONICS = np.arange(1, 200)[:, None]
+_BIAS = (np.exp(-((2.0 * np.pi * _HARMONICS * _NOISES) ** 2)) / (2.0 * np.pi**2 * _HARMONICS**2)).sum(axis=0)  # Q / q^2
 MAX_SHARE = 0.5  # largest share of a variance, because the rounding error is not normal
 
 
@@ -194,41 +195,29 @@ def _steps(values: Sequence[FloatArray]) -> FloatArray:
 
 def code_variance(step: FloatArray, scatter: FloatArray) -> FloatArray:
     """Return Q for steps q and variances S of single readings (3,), or 0 if the step is unknown."""
-    bias_variance = (np.exp(-((2.0 * np.pi * _HARMONICS * _NOISES) ** 2)) / (2.0 * np.pi**2 * _HARMONICS**2)).sum(
-        axis=0
-    )
-    scatter_variance = _NOISES**2 + 1.0 / 12.0 - bias_variance
+    scatter_variance = _NOISES**2 + 1.0 / 12.0 - _BIAS
     square = np.where(step > 0.0, step, np.inf) ** 2
-    return np.asarray(
-        np.where(step > 0.0, step, 0.0) ** 2 * np.interp(scatter / square, scatter_variance, bias_variance)
-    )
+    return np.asarray(np.where(step > 0.0, step, 0.0) ** 2 * np.interp(scatter / square, scatter_variance, _BIAS))
 
 
-def rounding_correlation(distance: FloatArray, spread: FloatArray) -> FloatArray:
-    """Return the correlation of the rounding errors of two inputs. Their distance is normal, with mean and spread in steps.
+def rounding_correlation(distance: FloatArray, spread: FloatArray, share: FloatArray) -> FloatArray:
+    """Return the correlation of the rounding errors of two means whose inputs are a normal distance d apart.
 
-    For a known distance d it is max(1 - |d|, 0), which is half the second difference of |d|.
+    d has a mean and a spread in steps, and ``share`` is the variance Q/q^2 of each error. Errors repeat with every step. For
+    readings without noise at a known distance this is 1 - 6 d (1 - d), with d between 0 and 1.
     """
-    from scipy.special import erf
-
-    spread = np.maximum(spread, 1e-9)
-
-    def mean_size(mean: FloatArray) -> FloatArray:  # of a normal distance
-        ratio = mean / spread
-        density = np.exp(-0.5 * ratio**2) * np.sqrt(2.0 / np.pi)
-        return np.asarray(spread * density + mean * erf(ratio / np.sqrt(2.0)))
-
-    shared = 0.5 * (mean_size(distance + 1.0) - 2.0 * mean_size(distance) + mean_size(distance - 1.0))
-    return np.asarray(shared.clip(0.0))
+    noise = np.interp(share, _BIAS[::-1], _NOISES[::-1])  # s / q
+    cosines, weights = np.zeros(distance.shape), np.zeros(np.shape(noise))
+    for k in range(1, 21):
+        weight = np.exp(-((2.0 * np.pi * k * noise) ** 2)) / k**2
+        cosines += weight * np.cos(2.0 * np.pi * k * distance) * np.exp(-2.0 * (np.pi * k * spread) ** 2)
+        weights += weight
+    return cosines / np.maximum(weights, 1e-300)
 
 
 def scatter_of_readings(windows: Sequence[FloatArray]) -> FloatArray:
-    """Return the variance S (3,) of single readings, from windows (N, 3) in which they vary slowly.
-
-    It is half the variance of successive differences, minus its standard error over the windows: Q falls steeply as S rises.
-    """
-    each = np.array([0.5 * np.diff(window, axis=0).var(axis=0) for window in windows])
-    return np.asarray(each.mean(axis=0) - each.std(axis=0) / np.sqrt(len(each)))
+    """Return the variance S (3,) of single readings in windows (N, 3): half the variance of successive differences."""
+    return np.mean([0.5 * np.diff(window, axis=0).var(axis=0) for window in windows], axis=0)
 
 
 def mean_rounding(values: Sequence[FloatArray], rests: Sequence[FloatArray]) -> FloatArray:

@@ -54,6 +54,7 @@ from undrift.record import Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
 MIN_NOISE = 1e-9  # relative to the largest reading, the arithmetic error of the filter
+SPREAD = 3.0  # of the distance of two inputs by rounding in the matrix, relative to that of independent rounding errors
 
 # ---- fit of dwells and rests
 
@@ -188,11 +189,12 @@ def _shared_rounding(dwells: DwellMeans, rates: FloatArray, matrix: FloatArray, 
     step = np.where(dwells.codes > 0.0, dwells.step, 1.0)
     inputs = rates @ np.linalg.inv(matrix).T / step
     leverage = (rates[:, None] - rates) / np.linalg.norm(rates, axis=0).clip(1e-9)
-    spread = np.linalg.norm(leverage, axis=2)[:, :, None] * np.sqrt(codes) / step
+    spread = SPREAD * np.linalg.norm(leverage, axis=2)[:, :, None] * np.sqrt(codes) / step
     if dwells.force is not None:
         felt = G_SENSITIVITY * np.linalg.norm(dwells.force[:, None] - dwells.force, axis=2)
         spread = np.hypot(spread, felt[:, :, None] / np.abs(np.diag(matrix)) / step)
-    return rounding_correlation(inputs[:, None] - inputs, spread)
+    share = np.sqrt(codes[:, None] * codes) / step**2
+    return rounding_correlation(inputs[:, None] - inputs, spread, share)
 
 
 def _excess(dwells: DwellMeans) -> dict[str, FloatArray]:
