@@ -7,9 +7,8 @@ import tomllib
 from pathlib import Path
 
 import undrift
-import undrift.io.store  # noqa: F401  (describes the map of a calibration file)
 from undrift.base.codec import schema_of
-from undrift.model import Calibration
+from undrift.io.store import Calibration  # with the map of a calibration file
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "src" / "undrift"
