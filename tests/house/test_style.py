@@ -83,6 +83,6 @@ def test_recipe_and_citation_agree_with_the_project() -> None:
     assert f'version: "{version}"' in recipe
     assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text()
     listed = dict(re.findall(r"^    - ([\w-]+) (.+)$", recipe.partition("  run:\n")[2].partition("tests:")[0], re.M))
-    dependencies = dict(re.findall(r"([\w-]+)([>=<].*)", "\n".join(PROJECT["dependencies"])))
+    dependencies = dict(re.findall(r"([\w-]+)([>=<][^;\n]*)", "\n".join(PROJECT["dependencies"])))
     python = {"python": listed["python"]}
     assert listed == python | {CONDA_NAMES.get(name, name): bound for name, bound in dependencies.items()}

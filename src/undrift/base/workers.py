@@ -1,13 +1,50 @@
-"""Work on several processors: processes of this machine, or workers of a Dask scheduler."""
+"""Work on several processors: threads, processes of this machine, or workers of a Dask scheduler.
+
+Where no thread can be started, as in a browser, the calls run one after the other in the caller.
+"""
 
 import os
+import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import cache
 from multiprocessing import get_context
 from typing import Any
 
 from undrift.errors import InputError
+
+
+@cache
+def has_threads() -> bool:
+    """Return whether this interpreter can start a thread."""
+    try:
+        threading.Thread(target=bool).start()
+    except RuntimeError:
+        return False
+    return True
+
+
+def processors() -> int:
+    """Return the number of processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def threads(count: int) -> Executor:
+    """Return a pool of threads, or one that calls in the caller."""
+    return ThreadPoolExecutor(count) if has_threads() else _Caller()
+
+
+class _Caller(Executor):
+    """Pool without threads."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        future = Future[Any]()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:  # noqa: BLE001 (whoever asks for the result gets it)
+            future.set_exception(error)
+        return future
 
 
 @contextmanager
@@ -28,10 +65,10 @@ def executor(workers: int | None = None, scheduler: str | None = None) -> Iterat
         with client:
             yield client.get_executor().map
         return
-    count = len(os.sched_getaffinity(0)) if workers is None else workers
+    count = processors() if workers is None else workers
     if count < 1:
         raise InputError(f"`workers` must be 1 or more, got {count}.")
-    if count == 1:
+    if count == 1 or not has_threads():
         yield map
         return
     with ProcessPoolExecutor(count, mp_context=get_context("spawn")) as pool:

@@ -212,12 +212,12 @@ def rounding_correlation(distance: FloatArray, spread: FloatArray, share: FloatA
         weight = np.exp(-((2.0 * np.pi * k * noise) ** 2)) / k**2
         cosines += weight * np.cos(2.0 * np.pi * k * distance) * np.exp(-2.0 * (np.pi * k * spread) ** 2)
         weights += weight
-    return cosines / np.maximum(weights, 1e-300)
+    return np.asarray(cosines / np.maximum(weights, 1e-300))
 
 
 def scatter_of_readings(windows: Sequence[FloatArray]) -> FloatArray:
     """Return the variance S (3,) of single readings in windows (N, 3): half the variance of successive differences."""
-    return np.mean([0.5 * np.diff(window, axis=0).var(axis=0) for window in windows], axis=0)
+    return np.asarray(np.mean([0.5 * np.diff(window, axis=0).var(axis=0) for window in windows], axis=0))
 
 
 def mean_rounding(values: Sequence[FloatArray], rests: Sequence[FloatArray]) -> FloatArray:

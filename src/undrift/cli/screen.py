@@ -5,6 +5,7 @@ import threading
 import time
 from types import TracebackType
 
+from undrift.base.workers import has_threads
 from undrift.report.terminal import console, say, wrap
 from undrift.screen import Screen
 
@@ -45,7 +46,7 @@ class Terminal(Screen):
         if not self._begun:  # do not disturb the earlier content of the screen
             self._begun = True
             self._bar.start()
-            if not self._interactive:
+            if not self._interactive and has_threads():
                 threading.Thread(target=self._report_periodically, daemon=True).start()
         *lines, self._task = task.split("\n")
         self._share = share

@@ -1,7 +1,7 @@
 """``undrift correct``: recordings in rad/s and m/s2, of any size, in constant memory."""
 
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from contextlib import nullcontext, suppress
 from contextvars import copy_context
 from dataclasses import dataclass
@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 from undrift import __version__
 from undrift.base.options import Output
+from undrift.base.workers import threads
 from undrift.calibration.triads import check_force
 from undrift.commands.batch import each_recording
 from undrift.commands.calibration_file import choose_calibration
@@ -173,7 +174,7 @@ def _correct(
     with (
         reading(READ, recording),
         ParquetWriter(output) if chunked else nullcontext() as writer,
-        ThreadPoolExecutor(1) as pool,  # writes a chunk while the next chunk is corrected
+        threads(1) as pool,  # writes a chunk while the next chunk is corrected
     ):
         write = writer.write if writer else partial(write_record_as, path=output, made_by=made_by)
         written: Future[Any] = pool.submit(bool)
@@ -198,7 +199,7 @@ def _correct(
 
 def read_ahead(chunks: Iterator[Record]) -> Iterator[Record]:
     """Read the next chunk in a second thread while the caller processes the current chunk."""
-    with ThreadPoolExecutor(1) as pool:
+    with threads(1) as pool:
         take = partial(next, chunks, None)
         coming = pool.submit(copy_context().run, take)  # the reading thread sees the progress of the caller
         while (chunk := coming.result()) is not None:

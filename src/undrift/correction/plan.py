@@ -18,7 +18,6 @@ and one multiplication determines the cell. Cells of other nodes are searched. T
 causal filter with state subtracts the lag of the thermometer (drift/temperature.py).
 """
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -28,6 +27,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias, TypeVar
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, interpolated
+from undrift.base import workers
 from undrift.drift.temperature import LagState, without_lag
 from undrift.errors import InputError
 from undrift.model import Calibration, DynamicDrift, Sensor, TriadModel
@@ -402,12 +402,10 @@ def flat(values: FloatArray | None, rows: slice) -> FloatArray:
 
 def in_pieces(work: Callable[[slice], T], n: int, threads: int | None) -> list[T]:
     """Call the work with slices of n samples, each in its own thread."""
-    count = (os.cpu_count() or 1) if threads is None and n >= THREADS_FROM else threads or 1
+    count = workers.processors() if threads is None and n >= THREADS_FROM else threads or 1
     bounds = [n * i // count for i in range(count + 1)]
     pieces = [slice(start, stop) for start, stop in pairwise(bounds) if stop > start]
     if len(pieces) == 1:
         return [work(pieces[0])]
-    from concurrent.futures import ThreadPoolExecutor
-
-    with ThreadPoolExecutor(len(pieces)) as pool:
+    with workers.threads(len(pieces)) as pool:
         return list(pool.map(work, pieces))

@@ -1,1 +1,1 @@
-"""Numba kernels only, from flat arrays and scalars to flat arrays. The calling packages contain the public wrappers."""
+"""Kernels only, from flat arrays and scalars to flat arrays. The calling packages contain the public wrappers."""

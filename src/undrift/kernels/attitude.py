@@ -7,6 +7,7 @@
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE
 
 MIN_OFFSET_SIGMA_DPS = 1e-3  # prior of the filter's offset: below it the filter would not follow a real change for long
@@ -23,7 +24,14 @@ def filtered_attitude(
     standard uncertainty of the rate's offset, rad/s.
     """
     from scipy.spatial.transform import Rotation, Slerp
-    from vqf import offlineVQF
+
+    try:
+        from vqf import offlineVQF
+    except ImportError as error:
+        raise InputError(
+            "the filter needs the package vqf, which is not installed. Use `method` strapdown, or run pip install vqf with Python "
+            "3.11 to 3.13."
+        ) from error
 
     values = np.hstack((rate, force) if mag_ut is None else (rate, force, mag_ut))
     steps, even = np.diff(time), time

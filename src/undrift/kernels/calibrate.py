@@ -8,15 +8,15 @@ Moves: gyro flat (3 N,) raw unit, time (N,) s.
 import math
 
 import numpy as np
-from numba import njit
 
 from undrift.arrays import FloatArray, IntArray
+from undrift.kernels.compilation import compiled
 from undrift.kernels.rotation import matrix_of, turned
 
 # ---- a thermometer's time constant taken off by a causal lead, sample by sample over uneven steps
 
 
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+@compiled
 def lead(temp: FloatArray, time: FloatArray, out: FloatArray, lag: float, smooth: float, state: FloatArray) -> None:
     # (lag s + 1) / (smooth s + 1), exact for readings that are linear between samples: z' = (x - z) / smooth,
     # y = z + lag z'. With m = (1 - e^-a) / a over a step a = dt / smooth: z = e^-a z_before + (m - e^-a) x_before + (1 - m) x.
@@ -41,7 +41,7 @@ def lead(temp: FloatArray, time: FloatArray, out: FloatArray, lag: float, smooth
 # ---- rotation between stills
 
 
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+@compiled
 def rotations_between(
     gyro: FloatArray, time: FloatArray, first: IntArray, last: IntArray,
     matrix: FloatArray, offset: FloatArray, drift: FloatArray, rotation: FloatArray, sums: FloatArray,

@@ -9,10 +9,10 @@ import math
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from undrift.arrays import FloatArray
+from undrift.kernels.compilation import compiled
 
 IndexArray: TypeAlias = NDArray[np.uint32]
 ZERO, ONE, TWO, THREE = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3)
@@ -42,7 +42,7 @@ class Tables(NamedTuple):
     error_rate: Grid
 
 
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+@compiled
 def affine(x: FloatArray, out: FloatArray, m: FloatArray, o: FloatArray) -> None:
     # out = M (x - o)
     m0, m1, m2, m3, m4, m5, m6, m7, m8 = m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]
@@ -54,7 +54,7 @@ def affine(x: FloatArray, out: FloatArray, m: FloatArray, o: FloatArray) -> None
         out[k + TWO] = m6 * x0 + m7 * x1 + m8 * x2
 
 
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+@compiled
 def subtract_g(a: FloatArray, out: FloatArray, g: FloatArray) -> None:
     # out -= G a
     g0, g1, g2, g3, g4, g5, g6, g7, g8 = g[0], g[1], g[2], g[3], g[4], g[5], g[6], g[7], g[8]
@@ -65,7 +65,7 @@ def subtract_g(a: FloatArray, out: FloatArray, g: FloatArray) -> None:
         out[k + TWO] -= g6 * a0 + g7 * a1 + g8 * a2
 
 
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+@compiled
 def affine_pair(
     x: FloatArray, y: FloatArray, out: FloatArray, out_a: FloatArray,
     m: FloatArray, o: FloatArray, n: FloatArray, p: FloatArray, g: FloatArray,
@@ -87,7 +87,7 @@ def affine_pair(
         out[k + TWO] = m6 * x0 + m7 * x1 + m8 * x2 - (g6 * a0 + g7 * a1 + g8 * a2)
 
 
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+@compiled
 def search(nodes: FloatArray, x: float) -> np.uint64:
     # index of the cell that contains x, by bisection, or of the first or last cell for x outside
     low, high = ZERO, np.uint64(nodes.size) - ONE
@@ -100,7 +100,7 @@ def search(nodes: FloatArray, x: float) -> np.uint64:
     return low
 
 
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+@compiled
 def even_cell(start: float, inverse: float, last: float, x: float) -> tuple[np.int32, float]:
     # as cell, for an even grid with a given last cell (32 bits, because vector units convert nothing else to integers)
     p = (x - start) * inverse
@@ -112,7 +112,7 @@ def even_cell(start: float, inverse: float, last: float, x: float) -> tuple[np.i
     return i, f
 
 
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+@compiled
 def cell(grid: Grid, x: float) -> tuple[np.uint64, float]:
     # cell index and fraction, limited to [0, 1], or NaN for x = NaN
     if grid.inverse > 0.0:
@@ -125,7 +125,7 @@ def cell(grid: Grid, x: float) -> tuple[np.uint64, float]:
     return i, f
 
 
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+@compiled
 def cells_of(grid: Grid, x: FloatArray, index: IndexArray, fraction: FloatArray) -> None:
     # cell of each value
     if grid.inverse > 0.0:
@@ -137,7 +137,7 @@ def cells_of(grid: Grid, x: FloatArray, index: IndexArray, fraction: FloatArray)
         index[k], fraction[k] = cell(grid, x[k])
 
 
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+@compiled
 def add_half_step(x: FloatArray, out: FloatArray, h: FloatArray) -> None:
     # out = x + h sign(x), but x for code 0, |x| < |h|
     for k in range(0, x.size, 3):
@@ -146,19 +146,19 @@ def add_half_step(x: FloatArray, out: FloatArray, h: FloatArray) -> None:
             out[k + axis] = u + ((half if u > 0.0 else -half) if abs(u) > abs(half) else 0.0)
 
 
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+@compiled
 def on_line(p: FloatArray, j: np.uint64, f: float) -> tuple[float, float, float]:
     # three neighbours of a table over one dimension
     return p[j] + f * p[j + ONE], p[j + TWO] + f * p[j + THREE], p[j + FOUR] + f * p[j + FIVE]
 
 
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+@compiled
 def on_plane(p: FloatArray, j: np.uint64, f: float, r: float) -> float:
     value: float = p[j] + f * p[j + ONE] + r * (p[j + TWO] + f * p[j + THREE])
     return value
 
 
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+@compiled
 def linear(
     x: FloatArray, a: FloatArray, out: FloatArray, m: FloatArray, o: FloatArray, g: FloatArray, tables: Tables,
     offset_at: IndexArray, offset_f: FloatArray, matrix_at: IndexArray, matrix_f: FloatArray,
@@ -190,7 +190,7 @@ def linear(
         out[q], out[q + ONE], out[q + TWO] = w0, w1, w2
 
 
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+@compiled
 def extremes(w: FloatArray, least: float, greatest: float) -> tuple[float, float]:
     # minimum and maximum of all values and of the given two (a separate chain per axis avoids waiting)
     l0 = l1 = l2 = least
@@ -202,7 +202,7 @@ def extremes(w: FloatArray, least: float, greatest: float) -> tuple[float, float
     return min(l0, l1, l2), max(u0, u1, u2)
 
 
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+@compiled
 def tabulated(
     x: FloatArray, temp: FloatArray, a: FloatArray, out: FloatArray,
     m: FloatArray, o: FloatArray, g: FloatArray, tables: Tables,
@@ -236,7 +236,7 @@ def tabulated(
     return least, greatest
 
 
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+@compiled
 def without_line(x: FloatArray, since: FloatArray, out: FloatArray, grid: Grid, cells: FloatArray) -> None:
     # out = x - line(at): warm-up over the time since power-on, with flat cells (cells, 3, 2) of value and slope
     for k in range(np.uint64(since.size)):
@@ -250,7 +250,7 @@ def without_line(x: FloatArray, since: FloatArray, out: FloatArray, grid: Grid, 
 # state (5,): low-passed rate, time of the last reading, last time at which it was above (updated in place)
 
 
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+@compiled
 def follow_turning(
     rate: FloatArray, time: FloatArray, above: float, mean_s: float, hold_s: float, state: FloatArray, out: FloatArray
 ) -> None:  # fmt: skip

@@ -9,14 +9,14 @@ and weight (W,) the weights of their W samples. out of carried_means is flat (21
 import math
 
 import numpy as np
-from numba import njit
 
 from undrift.arrays import FloatArray, IntArray
+from undrift.kernels.compilation import COMPILED, compiled
 
 # ---- rotation and its sensitivity, both read off at given times
 
 
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+@compiled
 def turned(
     qw: float, qx: float, qy: float, qz: float, hx: float, hy: float, hz: float
 ) -> tuple[float, float, float, float]:
@@ -38,7 +38,7 @@ def turned(
     )
 
 
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+@compiled
 def matrix_of(
     w: float, x: float, y: float, z: float
 ) -> tuple[float, float, float, float, float, float, float, float, float]:
@@ -50,7 +50,7 @@ def matrix_of(
     )  # fmt: skip
 
 
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+@compiled
 def accumulate(
     rate: FloatArray, regressors: FloatArray, time: FloatArray, at: FloatArray, q_out: FloatArray, sum_out: FloatArray
 ) -> None:
@@ -101,7 +101,7 @@ BLOCK = 32  # samples per block (the series below runs on vector units, the prod
 SERIES_LIMIT = 0.01  # square of a half angle of 0.1 rad: the first omitted term is under 3e-17
 
 
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+@compiled
 def large_increments(gyro: FloatArray, time: FloatArray, out: FloatArray, start: int, stop: int) -> None:
     # out[k] = exp(w_k (t_k - t_(k-1)) / 2) for those k in [start, stop) whose half angle is beyond the series
     for k in range(np.uint64(start), np.uint64(stop)):
@@ -116,7 +116,7 @@ def large_increments(gyro: FloatArray, time: FloatArray, out: FloatArray, start:
             out[j + ONE], out[j + TWO], out[j + THREE] = s * x, s * y, s * z
 
 
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+@compiled
 def strapdown(gyro: FloatArray, time: FloatArray, q: FloatArray, out: FloatArray) -> None:
     # q_k = q_(k-1) exp(w_k (t_k - t_(k-1))): the rate of sample k applies to (k-1, k], which is exact for a constant rate.
     qw, qx, qy, qz = q[0], q[1], q[2], q[3]
@@ -152,7 +152,7 @@ def strapdown(gyro: FloatArray, time: FloatArray, q: FloatArray, out: FloatArray
 # ---- specific force, carried along
 
 
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+@compiled
 def carried_means(
     rate: FloatArray, force: FloatArray, rate_regressors: FloatArray, force_regressors: FloatArray,
     time: FloatArray, first: IntArray, weight: FloatArray, out: FloatArray,
@@ -190,3 +190,7 @@ def carried_means(
             share = weight[k - first[w]]
             for e in range(width):
                 out[width * w + e] += share * values[e]
+
+
+if not COMPILED:
+    from undrift.kernels.plain import carried_means, strapdown  # noqa: F401 (in place of those above)

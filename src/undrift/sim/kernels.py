@@ -9,14 +9,14 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from undrift.arrays import FloatArray, IntArray
+from undrift.kernels.compilation import compiled, compiled_to_the_bit
 
 # ---- dwells: what drifts and what follows from one to the next
 
 
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+@compiled
 def add_drift(
     normals: FloatArray, row: IntArray, start: FloatArray, duration: FloatArray, first: IntArray,
     constants: FloatArray, sd: FloatArray, walk: FloatArray, out: FloatArray,
@@ -62,7 +62,7 @@ def add_drift(
             spread[p] = 0.25 * length
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # not contracted: the same bits on any machine
+@compiled_to_the_bit
 def add_process(
     draws: FloatArray, keep: float, fresh: float, stationary: bool, sd: FloatArray, state: FloatArray, out: FloatArray
 ) -> None:
@@ -73,7 +73,7 @@ def add_process(
             out[k, i] += sd[i] * state[i]
 
 
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+@compiled
 def follow_with_play(temp: FloatArray, half_width: float, output: float, out: FloatArray) -> None:
     # out (N,): output of a play operator for a temperature, from its current state
     for k in range(temp.size):
@@ -107,7 +107,7 @@ class ServoSettings(NamedTuple):
         return COUNTS_PER_LINE * self.encoder_lines / (2.0 * math.pi)
 
 
-@njit(cache=True, fastmath={"contract"}, nogil=True, error_model="numpy")
+@compiled
 def servo(
     state: FloatArray, loop: ServoSettings, powered: bool, profile: FloatArray, stride: int, out: FloatArray
 ) -> None:
