@@ -9,11 +9,11 @@ import pytest
 from testkit.column_maps import column_map, reference_map
 from testkit.data import DATA, data_path, show
 from undrift.errors import FileFormatError, InputError
-from undrift.io.arrays import table_of_arrays
 from undrift.io.column_map import ChannelScale, ColumnMap, TextLayout
 from undrift.io.columns import build_record
 from undrift.io.formats import read_counted, read_record, read_reference
 from undrift.io.inspect import describe, find_symptoms
+from undrift.io.libraries import table_of_arrays
 from undrift.io.mocap import fit_cluster, read_c3d, read_trc
 from undrift.io.session import read_session
 

@@ -10,7 +10,6 @@ from undrift.frames import rotate
 from undrift.io.column_map import TextLayout
 from undrift.io.formats import read_record, read_reference
 from undrift.io.inspect import describe
-from undrift.io.proposal import map_text
 from undrift.io.reference import read_reference_map
 
 STO = ("makers", "opensim_sto_mot", "myComplexTasksTrial_orientations.sto")
@@ -91,7 +90,7 @@ def test_quaternions_of_a_maker_are_read_with_the_map_that_info_proposes(tmp_pat
     path = data_path("makers", "xsens_dot", "LFemur_20210820_202113_831.csv")
     proposed = describe(path)
     assert (proposed.kind, "orientations" in proposed.summary) == ("table", True)
-    (tmp_path / "map.toml").write_text(map_text(proposed))
+    (tmp_path / "map.toml").write_text(proposed.proposal.text(proposed.path))
     poses = read_reference(path, read_reference_map(tmp_path / "map.toml"))
     assert len(poses) == 195
     assert poses.time[-1] == pytest.approx(351 / 60.0)  # the counter shows the 157 of 352 packets that were lost

@@ -10,7 +10,6 @@ from undrift.errors import FileFormatError, InputError
 from undrift.io.column_map import read_map
 from undrift.io.formats import read_counted, read_reference
 from undrift.io.inspect import describe
-from undrift.io.proposal import map_text
 
 N = 300
 RNG = np.random.default_rng(1)
@@ -23,7 +22,7 @@ ROWS = np.column_stack((TIME, ACCEL, GYRO))
 def read_as_proposed(path):
     """Return what is read by the map that info proposes."""
     where = path.with_name("map.toml")
-    where.write_text(map_text(describe(path), units={"gyro": "dps"}))
+    where.write_text(describe(path).proposal.text("a", units={"gyro": "dps"}))
     return read_counted(path, read_map(where))
 
 
@@ -69,12 +68,9 @@ def test_a_map_of_stamps_that_repeat_or_step_back_is_read(tmp_path, row, stamp, 
     assert len(read_as_proposed(tmp_path / "a.mat").record) == count
 
 
-def test_names_that_repeat_under_the_names_of_sensors_are_mapped_by_position(tmp_path):
-    rows = "".join(
-        ",".join(f"{x:.4f}" for x in (*gyro, *accel)) + "\n" for gyro, accel in zip(GYRO, ACCEL, strict=True)
-    )
-    (tmp_path / "a.csv").write_text(f"Gyroscope,,,Accelerometer,,\nX,Y,Z,X,Y,Z\n{rows}")
-    assert describe(tmp_path / "a.csv").example[0] == "columns = { accel = [3, 4, 5] }"
+def test_names_that_repeat_are_not_proposed(tmp_path):
+    (tmp_path / "a.csv").write_text("X,Y,Z,X,Y,Z\n" + "1,2,3,4,5,6\n" * 9)
+    assert "needs a map by positions" in describe(tmp_path / "a.csv").summary
 
 
 def test_rotation_matrices_are_a_reference(tmp_path):

@@ -80,7 +80,7 @@ def test_a_session_a_reference_and_markers_are_told_apart(tmp_path):
         ("m.toml", MAP, "settings", "a column map of gyro"),
         ("s.toml", "a = 1", "settings", "TOML settings, not a column map"),
         ("a.md", "\n# Words\n\nmore\n", "text", "prose, not a table: # Words"),
-        ("f.txt", "Time[s]\tFx[N]\tFy[N]\tFz[N]\n0\t1\t2\t3\n1\t1\t2\t3\n", "table", "a force plate's table"),
+        ("f.txt", "Time[s]\tFx[N]\tFy[N]\tFz[N]\n0\t1\t2\t3\n1\t1\t2\t3\n", "table", "a table of other quantities"),
         ("p.csv", "Time,COG_X,COG_Y,COG_Z\n0,1,2,3\n1,1,2,3\n", "table", "a table of other quantities"),
         ("q.csv", "t,W,X,Y,Z\n0,1,0,0,0\n1,1,0,0,0\n", "table", "a table of orientations"),
         ("w.csv", "name,place,colour\na,b,c\nd,e,f\n", "table", "a table of text (3 columns"),
@@ -116,9 +116,7 @@ def test_arrays_and_foreign_parquet_say_which_map_they_need(tmp_path):
     pq.write_table(pa.table({"Acc_X": [1.0], "Acc_Y": [1.0], "Acc_Z": [1.0]}), tmp_path / "a.parquet")
     assert 'accel = ["Acc_X", "Acc_Y", "Acc_Z"]' in describe(tmp_path / "a.parquet").summary
     savemat(tmp_path / "b.mat", {"k": np.arange(5.0)})
-    assert (
-        describe(tmp_path / "b.mat").summary == "arrays without three axes (k), not a recording of an inertial sensor"
-    )
+    assert describe(tmp_path / "b.mat").summary == "arrays without three axes (k), not a recording"
 
 
 def test_with_a_map_a_foreign_table_is_described_with_its_problems(tmp_path):
@@ -176,4 +174,4 @@ def test_a_banner_with_the_commas_of_the_rows_is_not_taken_for_names(tmp_path):
 
 def test_one_axis_a_file_is_named(tmp_path):
     found = describe(put(tmp_path, "x.csv", "".join(f"{16000 + k % 9}\n" for k in range(60))))
-    assert "{ gyro = { x = 0 } }, { gyro = { y = 0 } }, { gyro = { z = 0 } }" in found.summary
+    assert "gyro = { x = 0 }" in found.summary

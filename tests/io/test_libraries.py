@@ -9,7 +9,6 @@ import pytest
 from testkit.column_maps import column_map
 from testkit.data import data_path
 from undrift.errors import FileFormatError, InputError
-from undrift.io import isolated, libraries
 from undrift.io.column_map import ColumnMap
 from undrift.io.formats import detect, read_counted, read_record
 from undrift.io.inspect import describe
@@ -337,7 +336,7 @@ def test_a_cut_or_overwritten_container_ends_in_one_line(tmp_path, name):
         whole[:12] + noise,
     ):
         copy.write_bytes(content)
-        with pytest.raises(InputError, match=r"^\S+: (.*expected .*, got .*\. |.*damaged or truncated)") as caught:
+        with pytest.raises(InputError, match=r"^\S+: (.*expected .*, got .*\. |.*damaged)") as caught:
             read_record(copy, sensor(SAMPLES[name]))
         assert "\n" not in str(caught.value)
     copy.write_bytes(whole[: int(0.9 * len(whole))])
@@ -357,15 +356,4 @@ def test_an_xdf_that_is_damaged_inside_is_not_read_in_part(tmp_path):
 def test_a_library_that_is_missing_is_named_with_its_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyulog", None)
     with pytest.raises(InputError, match=r"pip install 'undrift\[formats\]'"):
-        libraries.KINDS["ulog"](data_path(*LOG), sensor=None, drop=False)
-
-
-def test_a_parser_that_crashes_or_waits_is_one_error(tmp_path, monkeypatch):
-    path = data_path(*LOG)
-    monkeypatch.setattr(isolated, "TIMEOUT_S", -1e9)
-    with pytest.raises(FileFormatError, match="did not finish within"):
-        read_record(path)
-    monkeypatch.setattr(isolated, "TIMEOUT_S", 120.0)
-    monkeypatch.setattr(sys, "executable", "false")
-    with pytest.raises(FileFormatError, match="the parser crashed"):
-        read_record(path)
+        read_record(data_path(*LOG))

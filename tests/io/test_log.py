@@ -12,7 +12,6 @@ from undrift.io.columns import ReadResult
 from undrift.io.formats import format_of, read_counted, read_reference
 from undrift.io.inspect import describe
 from undrift.io.log import find_readings, names_of
-from undrift.io.proposal import map_text
 from undrift.io.reference import read_reference_map
 from undrift.units import si_factor
 
@@ -31,7 +30,7 @@ def read_as_proposed(path) -> tuple[ReadResult, set[str]]:
         assert "sample rate" in found.summary, found.summary
         return read_counted(path, ColumnMap(sample_rate_hz=100.0)), {"rate"}
     asks = {"rate"} if "sample_rate_hz = ?" in found.example else set()
-    text = map_text(found, sample_rate_hz=100.0)
+    text = found.proposal.text(found.path, sample_rate_hz=100.0)
     where = path.with_name("map.toml")
     where.write_text(text)
     return read_counted(path, read_map(where)), asks | ({"units"} if '"?"' in text else set())
@@ -152,7 +151,7 @@ def test_a_log_of_orientations_is_a_reference_by_the_map_that_is_proposed(tmp_pa
     path.write_text(
         "".join(f"t:{10 * k},qw:{np.cos(a):.6f},qx:{np.sin(a):.6f},qy:0.0,qz:0.0\n" for k, a in enumerate(half))
     )
-    where.write_text(map_text(describe(path)))
+    where.write_text(describe(path).proposal.text("a.log"))
     columns = read_reference_map(where)
     assert columns is not None
     reference = read_reference(path, columns)

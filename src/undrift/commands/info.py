@@ -16,9 +16,8 @@ from undrift.errors import InputError
 from undrift.files import write_whole
 from undrift.findings import Finding
 from undrift.io.inspect import Description, describe, describe_poses
-from undrift.io.proposal import map_text, session_text
 from undrift.io.reference import read_reference_map
-from undrift.io.session import NAME
+from undrift.io.session import NAME, session_text
 from undrift.io.store import read_calibration
 from undrift.model import Calibration, DriftTables
 from undrift.mounting import statement_of
@@ -284,7 +283,12 @@ def _next_command(description: Description, stills: int, opening: Opening) -> tu
 
 def _write_map(description: Description, path: Path, units: dict[str, str | None], opening: Opening) -> Report:
     """Write the map that a table seems to need, each unit with its reason."""
-    text = map_text(description, sample_rate_hz=opening.sample_rate_hz, units=units)
+    if description.proposal is None:
+        raise InputError(
+            f"{description.path}: expected a table that needs a map, got {description.kind} ({description.format}): "
+            f"{description.summary}. Omit --write-map."
+        )
+    text = description.proposal.text(description.path, sample_rate_hz=opening.sample_rate_hz, units=units)
     write_whole(path, text)
     complete = '"?"' not in text
     advice = f"Replace each ? in {path}" + ", or repeat with `gyro_unit` or `accel_unit`" * (

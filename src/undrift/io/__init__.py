@@ -13,7 +13,7 @@ Open ``formats`` first: a table of all formats, and ``read_record``.
     labelled    tables that contain their units                      dialects   text exports of makers, a map of TOML each
     phone       the folder or zip of a phone                         log        lines of a serial port
     reference   poses and anatomical bodies                          clock      a regular clock for stamps of a host
-    session     session.toml and maps                                proposal   maps and sessions that a person may edit
+    session     session.toml                                         guess      maps that a person may edit
     inspect     content of a file, and symptoms                      store      calibration.json
-    write       recordings and orientations by ending                isolated   the process in which libraries run
+    write       recordings and orientations by ending                imucal     calibrations of imucal
 """

@@ -24,12 +24,20 @@ import numpy as np
 
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, read_bytes, read_tree, sound
-from undrift.io.arrays import mat_arrays, read_mat
 from undrift.io.column_map import READ_SETTINGS, ColumnMap, TempFile, check_parts, is_native, naming, one_map
 from undrift.io.columns import RawTable, ReadResult, build_record, in_seconds, is_date, is_number, with_temperature
 from undrift.io.dialects import dialects
 from undrift.io.labelled import is_labelled, read_labelled
-from undrift.io.libraries import is_nilspod, reader
+from undrift.io.libraries import (
+    is_nilspod,
+    mat_arrays,
+    read_logger,
+    read_mat,
+    read_nilspod,
+    read_ros,
+    read_ulog,
+    read_xdf,
+)
 from undrift.io.log import is_log, log_text, read_log
 from undrift.io.mocap import Markers, Up, is_c3d, pose_from_cluster, read_c3d, read_trc
 from undrift.io.parquet import CHUNK_ROWS, iter_parquet, parquet_names, read_parquet
@@ -158,21 +166,21 @@ FORMATS: dict[str, Format] = {
     ),
     "cwa": Format(
         lambda path, head: head.startswith(b"MD") and (head[2:4] == b"\xfc\x03" or _suffix(path) == ".cwa"),
-        record=reader("logger"),
+        record=read_logger,
     ),
-    "geneactiv": Format(_starts(b"Device Identity"), record=reader("logger")),
-    "gt3x": Format(_is_zip_with("log.bin"), record=reader("logger")),
+    "geneactiv": Format(_starts(b"Device Identity"), record=read_logger),
+    "gt3x": Format(_is_zip_with("log.bin"), record=read_logger),
     "gt3x_activity": Format(
         _is_zip_with("activity.bin"),
         instead="an ActiGraph file of the older layout (activity.bin), which no library reads. Export CSV with ActiLife.",
     ),
-    "xdf": Format(_starts(b"XDF:"), record=reader("xdf"), by_map=True),
+    "xdf": Format(_starts(b"XDF:"), record=read_xdf, by_map=True),
     "ros": Format(
         lambda path, head: head.startswith(_BAGS) or (not head and (path / "metadata.yaml").is_file()),
-        record=reader("ros"),
+        record=read_ros,
     ),
-    "ulog": Format(_starts(b"ULog\x01\x12\x35"), record=reader("ulog")),
-    "nilspod": Format(lambda path, head: _suffix(path) == ".bin" and is_nilspod(head), record=reader("nilspod")),
+    "ulog": Format(_starts(b"ULog\x01\x12\x35"), record=read_ulog),
+    "nilspod": Format(lambda path, head: _suffix(path) == ".bin" and is_nilspod(head), record=read_nilspod),
     "c3d": Format(
         lambda _, head: b"POINT" in head and is_c3d(head),
         markers=read_c3d,

@@ -18,20 +18,19 @@ from undrift.arrays import BoolArray, FloatArray, IntArray, runs
 from undrift.errors import InputError
 from undrift.files import read_bytes, read_tree
 from undrift.findings import Finding, finding
-from undrift.io.arrays import Arrays, mat_arrays
 from undrift.io.clock import host_stamps
 from undrift.io.column_map import AXES, READ_SETTINGS, ColumnMap, is_native, read_map
 from undrift.io.columns import ReadResult, native_columns
 from undrift.io.formats import Format, format_of, read_counted, read_markers, read_reference
-from undrift.io.guess import MapProposal, foreign_kind, propose, propose_poses, sniff, triples_of
+from undrift.io.guess import ForeignTable, MapProposal, foreign_kind, is_poses, propose, sniff
 from undrift.io.imucal import is_imucal
 from undrift.io.labelled import states_units
+from undrift.io.libraries import mat_arrays
 from undrift.io.log import log_sheet, log_text
 from undrift.io.mocap import Markers, Up
 from undrift.io.parquet import parquet_names
 from undrift.io.reference import ReferenceMap, native_reference
 from undrift.io.session import read_session
-from undrift.io.text import Text
 from undrift.record import Record, Reference, Session
 from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, STANDARD_GRAVITY, is_physical, si_factor
 
@@ -307,8 +306,8 @@ def describe(path: str | Path, column_map: ColumnMap | None = None, *, up: Up | 
         columns, proposal = error.numbers.get("names", ()), error.numbers.get("proposal")
         column_names = tuple(map(str, columns)) if isinstance(columns, tuple) else ()
         description = _not_read(path, name, column_names, str(error).removeprefix(f"{path}: "), missing=str(missing))
-        if missing == "readings" and (poses := propose_poses(text := sniff(path), text.names)) is not None:
-            return replace(description, summary=_POSES, columns=text.names, proposal=poses)
+        if missing == "readings" and is_poses(poses := propose(table := _contents(path, "csv"))):
+            return replace(description, summary=_POSES, columns=table.names, proposal=poses)
         return replace(description, proposal=MapProposal(**proposal)) if isinstance(proposal, dict) else description
     description = describe_record(read, path=str(path), format_name=name)
     if not how.columns and name in ("csv", "parquet"):
@@ -384,61 +383,38 @@ def mean_rate_hz(*records: Record) -> float:
 def needs_map(path: str | Path) -> bool:
     """Return True if a file is a table that requires a map: it has neither undrift's own names nor units."""
     name, _ = format_of(path)
-    return name == "text" or (name in _TABLES and not is_native(_contents(Path(path), name)[0]))
+    return name == "text" or (name in _TABLES and not is_native(_contents(Path(path), name).names))
 
 
-def _contents(path: Path, name: str) -> tuple[tuple[str, ...], Text | None, Arrays]:
-    """Return the names of a table, its text if it is one, and its arrays if it holds arrays."""
+def _contents(path: Path, name: str) -> ForeignTable:
+    """Return the names of a table, with its text or its arrays."""
     if name == "parquet":
-        return parquet_names(path), None, ()
+        return ForeignTable(names=parquet_names(path))
     if name == "mat":
         arrays = mat_arrays(path)
-        return tuple(key for key, _ in arrays), None, arrays
+        return ForeignTable(names=tuple(key for key, _ in arrays), arrays=arrays)
     text = log_text(path) if name == "log" else sniff(path)
-    return text.names, text, ()
+    return ForeignTable(names=text.names, text=text)
 
 
 def _needs(path: Path, name: str) -> Description | None:
     """Return the description of a file that cannot be read without a map or as a recording, None if it can."""
     if name not in _TABLES or (name == "log" and states_units(log_sheet(path))):
         return None
-    names, text, arrays = _contents(path, name)
-    if is_native(names):
+    table = _contents(path, name)
+    if is_native(table.names):
         return None
-    if native_reference(names) is not None:
+    if native_reference(table.names) is not None:
         return _reference(path, name)
-    if text is not None and (poses := propose_poses(text, names)):
-        return replace(_not_read(path, name, names, _POSES), proposal=poses)
-    if (foreign := _no_recording(names, text, arrays)) is not None:
-        return _not_read(path, name, names, foreign)
-    proposal = propose(names, text, arrays)
-    what = f"{len(names)} arrays or columns"
-    if text is not None:
-        what = f"a table of {len(names)} columns" + " without names" * names[-1].isdecimal()
-    columns = tuple(f"{key} {array.shape}" for key, array in arrays) or names
-    needed = f"{what}; needs a map with the true units, for example {', '.join(proposal.lines())}"
+    proposal = propose(table)
+    if is_poses(proposal):
+        return replace(_not_read(path, name, table.names, _POSES), proposal=proposal)
+    if (foreign := foreign_kind(table)) is not None:
+        return _not_read(path, name, table.names, foreign)
+    columns = tuple(f"{key} {array.shape}" for key, array in table.arrays) or table.names
+    what = "arrays or columns" if table.text is None else "columns without names" if table.nameless else "columns"
+    needed = f"a table of {len(table.names)} {what}; needs a map with the true units, for example {', '.join(proposal.lines())}"
     return replace(_not_read(path, name, columns, needed), proposal=proposal)
-
-
-def _no_recording(names: tuple[str, ...], text: Text | None, arrays: Arrays) -> str | None:
-    """Return what a table is that is no recording of an inertial sensor, None if it may be one."""
-    if text is not None:
-        return foreign_kind(text) or (_one_axis(len(names)) if len(names) < 3 else None)
-    if (
-        (arrays or not names)
-        and not any(array.ndim == 2 and array.shape[1] in (3, 6) for _, array in arrays)
-        and not triples_of(names)
-    ):
-        return f"arrays without three axes ({', '.join(names[:4])}), not a recording of an inertial sensor"
-    return None
-
-
-def _one_axis(width: int) -> str:
-    """Return the map that joins a table of one axis with those of the other axes."""
-    time = "time = 0, " if width > 1 else ""
-    tables = ", ".join(f"{{ {time}gyro = {{ {axis} = {width - 1} }} }}" for axis in AXES)
-    clock = 'units = { time = "s", gyro = "?" }' if time else 'sample_rate_hz = ?, units = { gyro = "?" }'
-    return f"a table of one axis. Read the files of the three axes as one recording, with a map: columns = [{tables}], {clock}"
 
 
 def _not_read(path: Path, name: str, columns: tuple[str, ...], what: str, *, missing: str = "") -> Description:

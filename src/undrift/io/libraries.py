@@ -1,11 +1,11 @@
-"""Recordings read with maintained libraries (extra ``formats``). The library runs in a separate process and its result
-becomes a Record.
+"""Recordings read with maintained libraries (extra ``formats``). Each reader is a library call and a table of its arrays.
 
-XDF (pyxdf)           clocks synchronised with the file's clock offsets, time stamps as recorded, not de-jittered ROS
-(rosbags)         sensor_msgs/Imu by header.stamp, SI units (REP 103, REP 145), covariance[0] = -1 marks an absent
-channel ULog (pyulog)         sensor_gyro and sensor_accel are uncorrected; sensor_combined was corrected by the
-autopilot NilsPod (nilspodlib)  factory scale applied, gaps of the counter stay gaps in time Axivity, GENEActiv,
-ActiGraph (actfast)  g, deg/s, degC, local time without a zone, counted from the first sample
+MAT (pymatreader)      named arrays for a map; the field of a struct is ``struct.field``
+XDF (pyxdf)            clocks synchronised with the file's clock offsets, time stamps as recorded, not de-jittered
+ROS (rosbags)          sensor_msgs/Imu by header.stamp, SI units (REP 103, REP 145), covariance[0] = -1 marks an absent channel
+ULog (pyulog)          sensor_gyro and sensor_accel are uncorrected; sensor_combined was corrected by the autopilot
+NilsPod (nilspodlib)   factory scale applied, gaps of the counter stay gaps in time
+Axivity, GENEActiv, ActiGraph (actfast)   g, deg/s, degC, local time without a zone, counted from the first sample
 """
 
 import contextlib
@@ -16,6 +16,7 @@ import struct
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -24,29 +25,33 @@ from numpy.typing import NDArray
 
 from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
-from undrift.files import first_line, read_bytes
-from undrift.io.arrays import parse_mat
+from undrift.files import first_line, read_bytes, sound
 from undrift.io.clock import onto_clock
-from undrift.io.column_map import QUANTITY, ColumnMap
+from undrift.io.column_map import QUANTITY, Column, ColumnMap, naming, native_map
 from undrift.io.columns import RawTable, of_channels
-from undrift.io.isolated import Channels, Parsed, library, read_isolated
-from undrift.io.mocap import parse_c3d
 from undrift.units import canonical_unit
 
+Arrays = tuple[tuple[str, NDArray[Any]], ...]
+Channels = dict[str, tuple[Any, str]]  # (N,) or (N, 3), and the unit
 
-def reader(kind: str) -> Callable[[Path, ColumnMap], RawTable]:
-    """Return the reader of a kind of file. For XDF, a map reads the channels of the stream by their labels."""
 
-    def read(path: Path, how: ColumnMap) -> RawTable:
-        found = read_isolated(path, kind, how)
-        if found.table:
-            columns = tuple(found.table.values())
-            return RawTable(source=str(path), names=tuple(found.table), columns=columns, notes=tuple(found.notes))
-        lost = found.about.pop("lost", 0)
-        table = of_channels(path, found.time, found.channels, how, notes=found.notes, **found.about)
-        return replace(table, dropped=lost)
+def reader(kind: str, read: Callable[[Path, ColumnMap], Any]) -> Callable[[Path, ColumnMap], Any]:
+    """Return a reader that names the file in errors. Any error of the library means that the file is damaged."""
 
-    return read
+    def read_file(path: Path, how: ColumnMap) -> Any:
+        with sound(path, kind), naming(path), warnings.catch_warnings(action="ignore"):
+            return read(path, how)
+
+    return read_file
+
+
+def library(module: str) -> Any:
+    """Return a library of the extra ``formats``."""
+    try:
+        return import_module(module)
+    except ImportError as error:
+        name = module.split(".")[0]
+        raise InputError(f"the library {name} is required to read it. Run pip install 'undrift[formats]'.") from error
 
 
 def is_nilspod(head: bytes) -> bool:
@@ -57,22 +62,19 @@ def is_nilspod(head: bytes) -> bool:
     return bool(1_388_534_400 < start <= end < start + 100 * 86_400 and end < 2_208_988_800 and rows > 0)
 
 
-# ---- in a process of its own
-
-
-def chosen(path: Path, kind: str, names: tuple[str, ...], sensor: str | None) -> str:
+def chosen(kind: str, names: tuple[str, ...], sensor: str | None) -> str:
     """Return the item that `sensor` names, by its whole name or a unique ending. Without `sensor`, return the only
     item.
     """
     if not names:
-        raise FileFormatError(f"{path}: expected a {kind} with readings, got none. The file contains no recording.")
+        raise FileFormatError(f"expected a {kind} with readings, got none. The file contains no recording.")
     hits = names if sensor is None else [name for name in names if name == sensor]
     hits = hits or [name for name in names if name.endswith(f".{sensor}")]
     if len(hits) == 1:
         return hits[0]
     wanted = f"the name of one {kind}" if sensor is None else f"{kind} {sensor!r}"
     raise InputError(
-        f"{path}: expected {wanted}, got a file with {', '.join(names)}. Name one of them (`sensor`).",
+        f"expected {wanted}, got a file with {', '.join(names)}. Name one of them (`sensor`).",
         missing="sensor",
         names=names,
     )
@@ -81,7 +83,7 @@ def chosen(path: Path, kind: str, names: tuple[str, ...], sensor: str | None) ->
 _CHANNEL = {"gyro": r"gyr|angular.?(rate|vel)|^w$", "accel": r"acc", "mag": r"mag", "temp": r"temp"}
 
 
-def _xdf(path: Path, sensor: str | None, mapped: bool, **_: Any) -> Parsed:
+def _xdf(path: Path, how: ColumnMap) -> RawTable:
     pyxdf, lines, content, at = library("pyxdf"), list[str](), read_bytes(path), 4
     while at < len(content):  # the library reads a file whose last chunk is cut without an error
         width = content[at] if content[at] in (1, 4, 8) else len(content)
@@ -91,7 +93,10 @@ def _xdf(path: Path, sensor: str | None, mapped: bool, **_: Any) -> Parsed:
     handler = logging.Handler(logging.ERROR)
     handler.emit = lambda record: lines.append(record.getMessage())  # type: ignore[method-assign]
     logging.getLogger("pyxdf").addHandler(handler)
-    streams, _header = pyxdf.load_xdf(str(path), synchronize_clocks=True, dejitter_timestamps=False)
+    try:
+        streams, _header = pyxdf.load_xdf(str(path), synchronize_clocks=True, dejitter_timestamps=False)
+    finally:
+        logging.getLogger("pyxdf").removeHandler(handler)
     if lines:
         raise ValueError(lines[0].splitlines()[0])
     names = [stream["info"]["name"][0] or "unnamed" for stream in streams]
@@ -100,11 +105,11 @@ def _xdf(path: Path, sensor: str | None, mapped: bool, **_: Any) -> Parsed:
         for name, stream in zip(names, streams, strict=True)
     }
     full = {n: s for n, s in named.items() if isinstance(s["time_series"], np.ndarray) and len(s["time_stamps"])}
-    if sensor in named and sensor not in full:
+    if how.sensor in named and how.sensor not in full:
         raise InputError(
-            f"expected a stream of readings, got text or no samples in {sensor!r}. Choose another stream with `sensor`."
+            f"expected a stream of readings, got text or no samples in {how.sensor!r}. Choose another stream with `sensor`."
         )
-    name = chosen(path, "stream", tuple(full), sensor)
+    name = chosen("stream", tuple(full), how.sensor)
     info, values = full[name]["info"], np.asarray(full[name]["time_series"], dtype=np.float64)
     listed = [held for desc in info["desc"] or [] if desc for held in desc.get("channels", []) if held]
     described = [channel for held in listed for channel in held.get("channel", [])]
@@ -113,8 +118,8 @@ def _xdf(path: Path, sensor: str | None, mapped: bool, **_: Any) -> Parsed:
     labels = [text or str(k) for k, text in enumerate(label)]
     time, rate_hz = np.asarray(full[name]["time_stamps"], dtype=np.float64), float(info["nominal_srate"][0])
     note = f"stream {name}: clocks synchronised, time stamps as recorded (not de-jittered), nominal rate {rate_hz:g} Hz"
-    if mapped:
-        return Parsed(table=dict(zip((*labels, "time_s"), (*values.T, time), strict=True)), notes=[note])
+    if how.columns:
+        return RawTable(source=str(path), names=(*labels, "time_s"), columns=(*values.T, time), notes=(note,))
     found: Channels = {}
     for channel, pattern in _CHANNEL.items():
         at_ = [k for k in range(len(labels)) if re.search(pattern, f"{label[k]} {kind[k]}", re.IGNORECASE)]
@@ -130,13 +135,13 @@ def _xdf(path: Path, sensor: str | None, mapped: bool, **_: Any) -> Parsed:
             missing="columns",
             proposal={"columns": {"time": "time_s", "gyro": [0, 1, 2]}, "units": {"time": "s", "gyro": "?"}},
         )
-    return Parsed(time=time, channels=found, notes=[note], about={"device": name})
+    return of_channels(path, time, found, how, notes=[note], device=name)
 
 
 _IMU, _TEMPERATURE = "sensor_msgs/msg/Imu", "sensor_msgs/msg/Temperature"
 
 
-def _ros(path: Path, sensor: str | None, drop: bool, **_: Any) -> Parsed:
+def _ros(path: Path, how: ColumnMap) -> RawTable:
     stores, any_reader = library("rosbags.typesys"), library("rosbags.highlevel").AnyReader
     with any_reader([path], default_typestore=stores.get_typestore(stores.Stores.LATEST)) as bag:
 
@@ -147,10 +152,10 @@ def _ros(path: Path, sensor: str | None, drop: bool, **_: Any) -> Parsed:
                 yield int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec), message
 
         topics = sorted({c.topic for c in bag.connections if c.msgtype == _IMU and c.msgcount})
-        topic = chosen(path, "topic", tuple(topics), sensor)
+        topic = chosen("topic", tuple(topics), how.sensor)
         rows = list(messages(topic, _IMU))
         stated = sum(c.msgcount for c in bag.connections if c.topic == topic and c.msgtype == _IMU)
-        if len(rows) < stated and not drop:
+        if len(rows) < stated and not how.drop_bad_rows:
             raise ValueError(
                 f"{len(rows)} of {stated} messages are present. Set drop_bad_rows = true in a map to read them."
             )
@@ -158,30 +163,35 @@ def _ros(path: Path, sensor: str | None, drop: bool, **_: Any) -> Parsed:
         near = {c.topic for c in bag.connections if c.msgtype == _TEMPERATURE and c.topic.rpartition("/")[0] == parent}
         slow = sorted((s, m.temperature) for t in near if len(near) == 1 for s, m in messages(t, _TEMPERATURE))
     stamps, frame = np.array([stamp for stamp, _ in rows], dtype=np.int64), str(rows[0][1].header.frame_id)
-    found = Parsed(time=(stamps - stamps[0]) * 1e-9, about={"device": frame, "lost": max(0, stated - len(rows))})
-    how = f"topic {topic}, frame {frame or 'not stated'}, time by header.stamp, units as ROS defines them (rad/s, m/s2)"
-    found.notes = [how, f"time 0 is {stamps[0] * 1e-9:.6f} s of the stamps"]
+    time, channels = (stamps - stamps[0]) * 1e-9, Channels()
+    notes = [
+        f"topic {topic}, frame {frame or 'not stated'}, time by header.stamp, units as ROS defines them (rad/s, m/s2)",
+        f"time 0 is {stamps[0] * 1e-9:.6f} s of the stamps",
+    ]
     for channel, name, unit in (("gyro", "angular_velocity", "rad/s"), ("accel", "linear_acceleration", "m/s2")):
         if all(getattr(row, f"{name}_covariance")[0] == -1.0 for _, row in rows):
-            found.notes.append(f"{channel} left out: its covariance marks it as not available (-1)")
+            notes.append(f"{channel} left out: its covariance marks it as not available (-1)")
         else:
             vectors = [getattr(row, name) for _, row in rows]
-            found.channels[channel] = (np.array([(v.x, v.y, v.z) for v in vectors]), unit)
-    if not found.channels:
-        raise InputError(f"{path}: expected readings in {topic}, got none (covariance -1). Name another topic.")
+            channels[channel] = (np.array([(v.x, v.y, v.z) for v in vectors]), unit)
+    if not channels:
+        raise InputError(f"expected readings in {topic}, got none (covariance -1). Name another topic.")
     if slow:
         clock = (np.array([stamp for stamp, _ in slow], dtype=np.int64) - stamps[0]) * 1e-9
-        found.channels["temp"] = (np.interp(found.time, clock, [temp_c for _, temp_c in slow]), "degC")
-        found.notes.append(f"temperature of {min(near)}, interpolated")
-    return found
+        channels["temp"] = (np.interp(time, clock, [temp_c for _, temp_c in slow]), "degC")
+        notes.append(f"temperature of {min(near)}, interpolated")
+    table = of_channels(path, time, channels, how, notes=notes, device=frame)
+    return replace(table, dropped=max(0, stated - len(rows)))
 
 
 _TOPICS = ["sensor_combined", "sensor_gyro", "sensor_accel"]
 
 
-def _ulog(path: Path, sensor: str | None, drop: bool, **_: Any) -> Parsed:
+def _ulog(path: Path, how: ColumnMap) -> RawTable:
     content, at = read_bytes(path), 16
-    while at + 3 <= len(content) and not drop:  # the library reads a log whose last message is cut without an error
+    while (
+        at + 3 <= len(content) and not how.drop_bad_rows
+    ):  # the library reads a log whose last message is cut without an error
         size, kind = struct.unpack_from("<HB", content, at)
         if kind == ord("B") and struct.unpack_from("<Q", content, at + 19)[0]:
             at = len(content)  # appended data has a place of its own
@@ -189,47 +199,45 @@ def _ulog(path: Path, sensor: str | None, drop: bool, **_: Any) -> Parsed:
         at += 3 + size
     with contextlib.redirect_stdout(io.StringIO()):  # the library prints errors of the file
         log = library("pyulog").ULog(io.BytesIO(content), _TOPICS)
-    if (at != len(content) or log.file_corruption) and not drop:
+    if (at != len(content) or log.file_corruption) and not how.drop_bad_rows:
         raise ValueError("messages are truncated or damaged. Set drop_bad_rows = true in a map to read the rest.")
     topics = {(d.name, d.multi_id): d.data for d in log.data_list if len(d.data["timestamp"])}
     numbers = sorted({number for name, number in topics if name in ("sensor_gyro", "sensor_accel")})
     names = (*(["sensor_combined"] if ("sensor_combined", 0) in topics else []), *map(str, numbers))
-    sensor, hardware = chosen(path, "sensor", names, sensor), str(log.msg_info_dict.get("ver_hw", "")).strip()
+    sensor, hardware = chosen("sensor", names, how.sensor), str(log.msg_info_dict.get("ver_hw", "")).strip()
 
     def clock(data: dict[str, Any]) -> FloatArray:
         """Return the time of sampling since boot, or of logging if the log does not have it, s."""
         return np.asarray(data.get("timestamp_sample", data["timestamp"]), dtype=np.float64) * 1e-6
 
-    found = Parsed(notes=["axes forward, right, down: z reads -9.8 m/s2 level and at rest"])
+    notes, channels = ["axes forward, right, down: z reads -9.8 m/s2 level and at rest"], Channels()
     if sensor == "sensor_combined":
         data = topics["sensor_combined", 0]
-        found.time = np.asarray(data["timestamp"], dtype=np.float64) * 1e-6
-        found.notes.append("already corrected by the autopilot (board rotation, CAL_ parameters): frame b")
+        time: FloatArray = np.asarray(data["timestamp"], dtype=np.float64) * 1e-6
+        notes.append("already corrected by the autopilot (board rotation, CAL_ parameters): frame b")
         for channel, name, unit in (("gyro", "gyro_rad", "rad/s"), ("accel", "accelerometer_m_s2", "m/s2")):
-            found.channels[channel] = (np.stack([data[f"{name}[{k}]"] for k in range(3)], axis=1), unit)
-        found.about = {"device": hardware, "frame": "b", "state": "corrected"}
-        return found
+            channels[channel] = (np.stack([data[f"{name}[{k}]"] for k in range(3)], axis=1), unit)
+        return of_channels(path, time, channels, how, notes=notes, device=hardware, frame="b", state="corrected")
     both = {name: topics.get((f"sensor_{name}", int(sensor))) for name in ("gyro", "accel")}
     main = both["gyro"] or both["accel"] or {}
-    found.time = clock(main)
-    found.notes.append("sensor's own readings, before the autopilot's CAL_ parameters (PX4 v1.11 and later)")
+    time = clock(main)
+    notes.append("sensor's own readings, before the autopilot's CAL_ parameters (PX4 v1.11 and later)")
     for channel, unit in (("gyro", "rad/s"), ("accel", "m/s2")):
         if (data := both[channel]) is None:
             continue
         values: FloatArray = np.stack([data[axis] for axis in "xyz"], axis=1).astype(np.float64)
-        if not np.array_equal(clock(data), found.time):
-            values, missing = onto_clock(found.time, clock(data), values)
+        if not np.array_equal(clock(data), time):
+            values, missing = onto_clock(time, clock(data), values)
             lost = f", {missing} samples in its drop-outs are gaps" if missing else ""
-            found.notes.append(f"{channel} interpolated onto the gyroscope's time stamps{lost}")
-        found.channels[channel] = (values, unit)
+            notes.append(f"{channel} interpolated onto the gyroscope's time stamps{lost}")
+        channels[channel] = (values, unit)
     if "temperature" in main and np.isfinite(main["temperature"]).all():
-        found.channels["temp"] = (main["temperature"], "degC")
+        channels["temp"] = (main["temperature"], "degC")
     number = int(main["device_id"][0]) if "device_id" in main else sensor
-    found.about = {"device": f"{hardware} {number}".strip(), "gaps": "keep"}
-    return found
+    return of_channels(path, time, channels, how, notes=notes, device=f"{hardware} {number}".strip(), gaps="keep")
 
 
-def _nilspod(path: Path, **_: Any) -> Parsed:
+def _nilspod(path: Path, how: ColumnMap) -> RawTable:
     content = read_bytes(path)
     wanted = content[0] + content[1] * struct.unpack_from("<I", content, 23)[0]
     if len(content) != wanted:
@@ -245,54 +253,54 @@ def _nilspod(path: Path, **_: Any) -> Parsed:
                 f"expected firmware that nilspodlib supports, got {version}. Export it to CSV."
             ) from error
         rate_hz, counter = float(data.info.sampling_rate_hz), np.asarray(data.counter, dtype=np.float64)
-        found = Parsed(time=(counter - counter[0]) / rate_hz, about={"device": f"NilsPod {data.info.sensor_id}"})
+        time, channels = (counter - counter[0]) / rate_hz, Channels()
         for channel, name, unit in (("gyro", "gyro", "dps"), ("accel", "acc", "m/s2"), ("temp", "temperature", "degC")):
             if (stream := getattr(data, name, None)) is not None:
                 values = np.asarray(stream.data).reshape(len(counter), -1)
-                found.channels[channel] = (values[:, 0] if channel == "temp" else values, unit)
+                channels[channel] = (values[:, 0] if channel == "temp" else values, unit)
     start, end = struct.unpack_from("<II", content, 15)
     lasts_s, lost = (counter[-1] - counter[0]) / rate_hz, int(counter[-1] - counter[0]) + 1 - len(counter)
     if abs(end - start - lasts_s) > 2.0 + 0.05 * lasts_s:
         raise ValueError(f"the header gives {end - start} s, but the file has {lasts_s:.4g} s")
-    found.notes = [
+    notes = [
         f"firmware {data.info.version_firmware}, {rate_hz:g} Hz, factory scale applied, magnetometer left out (no unit)",
         *[f"{lost} of {len(counter) + lost} samples missing by the counter, seen as gaps in time"] * (lost > 0),
         *(first_line(w.message) for w in caught if isinstance(w.message, UserWarning)),
     ]
-    return found
+    return of_channels(path, time, channels, how, notes=notes, device=f"NilsPod {data.info.sensor_id}")
 
 
-def _logger(path: Path, drop: bool, **_: Any) -> Parsed:
+def _logger(path: Path, how: ColumnMap) -> RawTable:
     """Read an Axivity, GENEActiv or ActiGraph file. Times are interpolated linearly between the stamps of the blocks."""
-    held = library("actfast").read(str(path), lenient=drop)
+    held = library("actfast").read(str(path), lenient=how.drop_bad_rows)
     series, about, kind = held["timeseries"], held["metadata"], held["format"]
     fast = series.get("high_frequency") or series["acceleration"]
     slow, stamps = series.get("low_frequency", {}), np.asarray(fast["datetime"], dtype=np.int64)
     if not len(stamps):
         raise FileFormatError("expected accelerometer readings, got none. Export CSV with the maker's program.")
-    if kind.startswith("Axivity") and path.stat().st_size % 512 and not drop:
+    if kind.startswith("Axivity") and path.stat().st_size % 512 and not how.drop_bad_rows:
         raise ValueError(
             "the file ends within a sector. Set drop_bad_rows = true in a map to read the complete sectors."
         )
     pages = str(about.get("Memory Status", {}).get("Number of Pages", ""))
-    if pages.isdigit() and len(stamps) < 300 * int(pages) and not drop:
+    if pages.isdigit() and len(stamps) < 300 * int(pages) and not how.drop_bad_rows:
         raise ValueError(f"samples of {pages} pages are missing. Set drop_bad_rows = true in a map to read the rest.")
     start = stamps[:1].astype("M8[ns]").astype("M8[ms]")[0]
-    found = Parsed(notes=[f"time 0 is {start} by the logger's clock (local time)", *map(str, held["warnings"])])
+    notes = [f"time 0 is {start} by the logger's clock (local time)", *map(str, held["warnings"])]
     blocks = np.asarray(slow.get("datetime", stamps[:1]), dtype=np.int64)
-    found.time = _straight(stamps, blocks, fitted=kind.startswith("GeneActiv"))
-    found.channels["accel"] = (np.asarray(fast["acceleration"], dtype=np.float64), "g")
+    time = _straight(stamps, blocks, fitted=kind.startswith("GeneActiv"))
+    channels: Channels = {"accel": (np.asarray(fast["acceleration"], dtype=np.float64), "g")}
     if "gyroscope" in fast:
-        found.channels["gyro"] = (np.asarray(fast["gyroscope"], dtype=np.float64), "dps")
-    if "temperature" in slow and np.ptp(found.time[[0, -1]]):
+        channels["gyro"] = (np.asarray(fast["gyroscope"], dtype=np.float64), "dps")
+    if "temperature" in slow and np.ptp(time[[0, -1]]):
         temp_c = np.asarray(slow["temperature"], dtype=np.float64)
-        at = found.time[np.minimum(np.searchsorted(stamps, blocks), len(stamps) - 1)]
-        found.channels["temp"] = (np.interp(found.time, at, temp_c), "degC")
-        found.notes.append("one temperature for each block of samples, interpolated (programs differ in its formula)")
+        at = time[np.minimum(np.searchsorted(stamps, blocks), len(stamps) - 1)]
+        channels["temp"] = (np.interp(time, at, temp_c), "degC")
+        notes.append("one temperature for each block of samples, interpolated (programs differ in its formula)")
     device, identity = about.get("device", {}), about.get("Device Identity", about.get("info", {}))
     number = device.get("device_id", identity.get("Device Unique Serial Code", identity.get("Serial Number", "")))
-    found.about = {"device": f"{device.get('hardware_type', kind.split()[0].replace('Gene', 'GENE'))} {number}"}
-    return found
+    maker = device.get("hardware_type", kind.split()[0].replace("Gene", "GENE"))
+    return of_channels(path, time, channels, how, notes=notes, device=f"{maker} {number}")
 
 
 def _straight(stamps: NDArray[Any], blocks: NDArray[Any], *, fitted: bool) -> FloatArray:
@@ -314,11 +322,75 @@ def _straight(stamps: NDArray[Any], blocks: NDArray[Any], *, fitted: bool) -> Fl
     return np.asarray(time - time[0], dtype=np.float64)
 
 
-KINDS: dict[str, Callable[..., Parsed]] = {
-    "mat": parse_mat,
-    "xdf": _xdf,
-    "ros": _ros,
-    "ulog": _ulog,
-    "nilspod": _nilspod,
-}
-KINDS |= {"logger": _logger, "c3d": parse_c3d}
+# ---- MATLAB
+
+
+def _mat(path: Path, _: ColumnMap) -> Arrays:
+    tree = dict(library("pymatreader").read_mat(str(path)))
+    objects, arrays = tree.pop("None", None), tuple(_flat("", tree))
+    if objects is not None and not arrays:  # objects of classes, which no reader of the file takes apart
+        raise FileFormatError(
+            "expected arrays, got MATLAB objects, such as the timetables of MATLAB Mobile. In MATLAB, write each as text, "
+            'for example writetimetable(Acceleration, "Acceleration.csv"), and read the text files.'
+        )
+    return arrays
+
+
+def _flat(prefix: str, value: Any) -> Iterator[tuple[str, NDArray[Any]]]:
+    if isinstance(value, dict):
+        for name, inner in value.items():
+            if not str(name).startswith(("__", "#")):
+                yield from _flat(f"{prefix}.{name}" if prefix else str(name), inner)
+        return
+    array = np.asarray(value) if isinstance(value, (np.ndarray, int, float)) else np.empty(0, dtype=object)
+    if array.dtype.kind in "fiub":
+        array = np.atleast_1d(array.squeeze() if array.ndim == 2 and 1 in array.shape else array)
+        # axes by rows, as MATLAB code often has them, are turned; rotation matrices (3, 3, N) become rows of nine
+        if array.ndim == 3 and array.shape[:2] == (3, 3):
+            array = np.moveaxis(array, 2, 0).reshape(-1, 9)
+        by_rows = array.ndim == 2 and array.shape[0] in (3, 4, 6) and array.shape[1] >= 16
+        yield prefix, array.T if by_rows else array
+
+
+def mat_arrays(path: Path) -> Arrays:
+    """Return the numeric arrays of a MAT file, version 5 to 7.3, structs laid flat: ``struct.field``."""
+    arrays: Arrays = reader("MATLAB", _mat)(path, ColumnMap())
+    return arrays
+
+
+def read_mat(path: Path, how: ColumnMap) -> RawTable:
+    """Read the arrays of a MAT file."""
+    arrays = mat_arrays(path)
+    own = None if how.columns else native_map(tuple(name for name, _ in arrays), how, source=str(path))
+    return replace(table_of_arrays(arrays, path, (own or how).wanted()), own=own)
+
+
+def table_of_arrays(arrays: Arrays, path: str | Path, wanted: tuple[Column, ...]) -> RawTable:
+    """Return the arrays that are as long as the first array of `wanted`, as a table. An array (N, K) becomes K columns
+    ``name[0]`` ... .
+    """
+    lengths = {name: len(array) for name, array in arrays if array.ndim in (1, 2)}
+    lengths |= {f"{name}[{k}]": len(array) for name, array in arrays if array.ndim == 2 for k in range(array.shape[1])}
+    listed = ", ".join(f"{name} {array.shape}" for name, array in arrays[:16]) or "no arrays"
+    for column in wanted:
+        if column not in lengths:
+            raise InputError(f"{path}: expected array {column!r}, got {listed}. Check the mapping.")
+    rows = {str(column): lengths[str(column)] for column in wanted}
+    if len(set(rows.values())) != 1:
+        row_counts = ", ".join(f"{name} {count}" for name, count in rows.items())
+        raise InputError(
+            f"{path}: expected arrays of one length, got {row_counts} rows. Read arrays with different "
+            f"clocks into separate records."
+        )
+    length = next(iter(rows.values()))
+    columns: dict[str, NDArray[Any]] = {}
+    for name, array in arrays:
+        if array.ndim in (1, 2) and len(array) == length:
+            columns |= (
+                {name: array} if array.ndim == 1 else {f"{name}[{k}]": array[:, k] for k in range(array.shape[1])}
+            )
+    return RawTable(source=str(path), names=tuple(columns), columns=tuple(columns.values()))
+
+
+read_xdf, read_ros, read_ulog = reader("XDF", _xdf), reader("ROS", _ros), reader("ULog", _ulog)
+read_nilspod, read_logger = reader("NilsPod", _nilspod), reader("logger", _logger)

@@ -9,6 +9,9 @@ of its markers are visible. Its pose in each frame solves
 by the singular value decomposition of sum_k x_k c_k^T (Kabsch). Frames with fewer than three markers are gaps.
 """
 
+import pickle
+import subprocess
+import sys
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,10 +21,9 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.errors import FileFormatError, InputError
-from undrift.files import checked_file, is_gzip, read_bytes, sound
+from undrift.files import is_gzip, read_bytes
 from undrift.frames import signed
 from undrift.io.column_map import naming
-from undrift.io.isolated import Parsed, read_isolated
 from undrift.record import Reference, check_time, sample_rate_of
 from undrift.units import si_factor
 
@@ -200,36 +202,26 @@ _MAGIC, _FARTHEST = 0x50, 1e6  # in the unit of the file: 1 km in mm
 
 
 def read_c3d(path: str | Path, up: Up | None = None) -> Markers:
-    """Read marker trajectories from a C3D file, in a process of its own: a damaged file can keep the library busy without end."""
+    """Read marker trajectories from a C3D file."""
     path = Path(path)
-    parsed = read_isolated(path, "c3d")
-    up = up or {"+Z": "z", "+Y": "y"}.get(parsed.about["screen"])  # type: ignore[assignment]
-    points = parsed.table["points"] * si_factor(parsed.about["unit"], "length")
-    return markers_of(path, tuple(parsed.about["labels"]), points, parsed.time, up=up, why="POINT:Y_SCREEN")
-
-
-def parse_c3d(path: Path, **_: Any) -> Parsed:
-    """Read the points of a C3D file, in the length unit and the axes of the file."""
-    content = _load(path)
-    point = content["parameters"]["POINT"]
-    xyz = np.moveaxis(np.asarray(content["data"]["points"], dtype=np.float64)[:3], 0, 2)  # (M, N, 3)
+    header, point, points, residuals = _parse(path)
+    xyz = np.moveaxis(np.asarray(points, dtype=np.float64)[:3], 0, 2)  # (M, N, 3)
     count, frames = xyz.shape[:2]
     if count == 0 or frames < 2:
         raise FileFormatError(
             f"{path}: expected marker points over two frames or more, got {count} markers, {frames} frames"
         )
     # A point with a negative residual, or at exactly 0, 0, 0, was not seen.
-    lost = np.asarray(content["data"]["meta_points"]["residuals"])[0] < 0.0
-    xyz[lost | ~np.isfinite(xyz).all(axis=2) | (xyz == 0.0).all(axis=2)] = np.nan
+    xyz[(residuals[0] < 0.0) | ~np.isfinite(xyz).all(axis=2) | (xyz == 0.0).all(axis=2)] = np.nan
     farthest = float(np.abs(xyz).max(initial=0.0, where=np.isfinite(xyz)))
     if farthest > _FARTHEST:
         raise FileFormatError(
             f"{path}: expected positions up to {_FARTHEST:g}, got {farthest:.3g}. The file is damaged."
         )
-    rate, first = float(content["header"]["points"]["frame_rate"]), int(content["header"]["points"]["first_frame"])
+    rate, first = float(header["frame_rate"]), int(header["first_frame"])
     if not rate > 0.0:
         raise FileFormatError(f"{path}: expected a frame rate above 0, got {rate:g} Hz. The header is damaged.")
-    unit, screen = (next(iter(point[key]["value"]), "") if key in point else "" for key in ("UNITS", "Y_SCREEN"))
+    unit, screen = (str(next(iter(point.get(key, ())), "")) for key in ("UNITS", "Y_SCREEN"))
     if not unit.strip():
         raise FileFormatError(
             f"{path}: expected the unit of length in POINT:UNITS, got none. The parameters are damaged."
@@ -239,10 +231,12 @@ def parse_c3d(path: Path, **_: Any) -> Parsed:
         key = "LABELS" if k == 1 else f"LABELS{k}"
         if key not in point or len(labels) >= count:
             break
-        labels += [str(label).strip() for label in point[key]["value"]]
-    names = [label or "unlabelled" for label in (labels + [""] * count)[:count]]
-    about = {"labels": names, "unit": str(unit), "screen": str(screen)}
-    return Parsed(time=(first + np.arange(frames)) / rate, table={"points": np.moveaxis(xyz, 0, 1)}, about=about)
+        labels += [str(label).strip() for label in point[key]]
+    names = tuple(label or "unlabelled" for label in (labels + [""] * count)[:count])
+    time = (first + np.arange(frames)) / rate
+    up = up or {"+Z": "z", "+Y": "y"}.get(screen)  # type: ignore[assignment]
+    metres = np.moveaxis(xyz, 0, 1) * si_factor(unit, "length")
+    return markers_of(path, names, metres, time, up=up, why="POINT:Y_SCREEN")
 
 
 def is_c3d(head: bytes) -> bool:
@@ -250,22 +244,45 @@ def is_c3d(head: bytes) -> bool:
     return len(head) > 512 and head[1] == _MAGIC and 2 <= head[0] < 128
 
 
-def _load(path: Path) -> Any:
-    import ezc3d
+_PARSER = """
+import pickle, sys, ezc3d
+trial = ezc3d.c3d(sys.argv[1])
+header, data = trial["header"]["points"], trial["data"]
+point = {name: item["value"] for name, item in trial["parameters"]["POINT"].items() if "value" in item}
+with open(sys.argv[2], "wb") as file:
+    pickle.dump((header, point, data["points"], data["meta_points"]["residuals"], data["analogs"].size), file)
+"""
+_PARSER_S = 120.0  # longest time for the parser, plus a second for each megabyte
 
+
+def _parse(path: Path) -> tuple[Any, Any, FloatArray, FloatArray]:
+    """Return the header, the parameters, the points and the residuals of a C3D file.
+
+    The library runs in a process of its own, because a damaged file can crash it or keep it busy without end.
+    """
     content = read_bytes(path)
     analogs, plain = _check_size(content, path), path
-    with sound(path, "C3D"), tempfile.TemporaryDirectory() as folder:
-        if is_gzip(checked_file(path)):
+    with tempfile.TemporaryDirectory() as folder:
+        if is_gzip(path):
             plain = Path(folder) / "unpacked.c3d"
             plain.write_bytes(content)
-        trial = ezc3d.c3d(str(plain))
-    # With another count of analog values points are read at other places
-    if analogs * trial["data"]["points"].shape[2] != trial["data"]["analogs"].size:
+        result, limit_s = Path(folder) / "result", _PARSER_S + len(content) / 1e6
+        argv = [sys.executable, "-c", _PARSER, str(plain), str(result)]
+        try:
+            done = subprocess.run(argv, capture_output=True, text=True, timeout=limit_s, check=False)
+        except subprocess.TimeoutExpired as error:
+            raise FileFormatError(
+                f"{path}: the parser did not finish in {limit_s:.0f} s. Copy the file again."
+            ) from error
+        if done.returncode:
+            why = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
+            raise FileFormatError(f"{path}: expected a sound C3D file, got a damaged file ({why}). Copy it again.")
+        header, point, points, residuals, values = pickle.loads(result.read_bytes())
+    if analogs * points.shape[2] != values:  # with another count of analog values points are read at other places
         raise FileFormatError(
             f"{path}: the parameters do not give {analogs} analog values per frame. The file is damaged."
         )
-    return trial
+    return header, point, points, residuals
 
 
 def _check_size(content: bytes, path: Path) -> int:

@@ -29,7 +29,6 @@ from undrift.base.codec import toml_of
 from undrift.errors import FileFormatError, InputError
 from undrift.files import read_bytes, write_whole
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate
-from undrift.io.arrays import Arrays, table_of_arrays
 from undrift.io.column_map import (
     ChannelColumns,
     Clock,
@@ -43,6 +42,7 @@ from undrift.io.column_map import (
 )
 from undrift.io.columns import RawTable, read_time
 from undrift.io.labelled import Sheet, as_utf8
+from undrift.io.libraries import Arrays, table_of_arrays
 from undrift.io.mocap import Markers, Up, fit_cluster, markers_of, pose_from_cluster
 from undrift.io.parquet import read_parquet_table
 from undrift.io.text import Text, open_text, parse_text, write_rows

@@ -26,6 +26,8 @@ units = { time = "s", accel = "count", gyro = "count" }
 """
 
 import hashlib
+import json
+import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -432,6 +434,42 @@ def session_toml(
 def piece_toml(piece: PieceEntry) -> str:
     """Return the text of a [[still]] or [[turn]]."""
     return codec.toml_block("turn" if isinstance(piece, TurnEntry) else "still", piece.model_dump())
+
+
+def session_text(
+    session: Session,
+    files: Sequence[Path],
+    folder: Path,
+    *,
+    file_map: FileMap | None,
+    steady: Sequence[Turn] = (),
+) -> str:
+    """Return the session.toml of recordings for a folder. Steady turns are written as comments, because their rate is
+    unknown.
+    """
+    width = len(files) // len(session.records)
+    standard = session.gravity_source == "standard"
+    head = HeadEntry(kind=session.kind, serial=session.serial, gravity_m_s2=None if standard else session.gravity_m_s2)
+    blocks = [
+        "# Written by undrift info --write-session from the recordings. Correct anything that is wrong.\n"
+        + codec.toml_text({"session": head.model_dump()})
+    ]
+    if standard:
+        blocks[0] += (
+            "# gravity_m_s2 = ?   # missing: standard gravity is assumed. Enter yours, or latitude_deg and height_m\n"
+        )
+    map_keys = {} if file_map is None else json.loads(file_map.text)
+    for number in range(len(session.records)):
+        names = [os.path.relpath(file, folder) for file in files[number * width : (number + 1) * width]]
+        blocks.append(codec.toml_block("recording", {"file": names[0] if width == 1 else names, **map_keys}))
+    times = [record.time for record in session.records]
+    pieces: list[Still | Turn] = [*session.stills, *session.turns]
+    blocks += [piece_toml(piece_entry(piece, times[piece.recording])) for piece in pieces]
+    for turn in steady:
+        lines = piece_toml(piece_entry(turn, times[turn.recording])).splitlines()
+        marked = "".join(f"# {line}\n" for line in [*lines, "turn_rate_dps = ?"])
+        blocks.append("# a steady turn: state its achieved rate and take the marks away\n" + marked)
+    return "\n".join(blocks)
 
 
 def sealed(text: str) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import InputError, RigTimeout
-from undrift.io.guess import MapProposal, propose
+from undrift.io.guess import ForeignTable, MapProposal, propose
 from undrift.io.labelled import Label, label_of, sheet_of
 from undrift.io.log import LineReader, LogLine, SerialLog, cycle_of, find_readings, lines_of, log_text, readings_in
 from undrift.live.clock import DeviceClock
@@ -122,7 +122,7 @@ def description_of(pieces: Pieces, name: str, given_options: dict[str, str]) -> 
     log, first_words, last_line = _log_of(pieces, name)
     channels = [IGNORED] * len(log.names)
     values, arrival_s = _readings_of(pieces, first_words, len(channels))
-    proposal = propose(log.names, log_text(Path(name), log), ())  # as for a file
+    proposal = propose(ForeignTable(names=log.names, text=log_text(Path(name), log)))  # as for a file
     labels = [label_of(column) for column in log.names]
     columns_of = _columns_of(proposal, log.names, labels)
     triads = [columns_of[triad] for triad in ("gyro", "accel") if triad in columns_of]
