@@ -1,14 +1,12 @@
 """BROAD trials: remaining error after each step of the correction, expected error, and common properties of devices of
 a model.
 
-``python -m benchmarks.broad`` prints four tables (some minutes), or only the named tables: steps, expected, nested,
-offset.
+``python -m benchmarks.broad`` prints three tables (some minutes), or only the named tables: steps, expected, offset.
 
 1. End error and root-mean-square error of each device, raw to calibrated on the *other* trials of the device.
 2. Expected against observed errors, over every fit to a part of a device's trials that is judged on another trial. Its prior
    (spread of matrix and in-motion offset between recordings) is learnt from the other devices.
-3. A hierarchical prior, nested: all choices for a held-out trial come from other trials (docs/decisions, 2026-11-22).
-4. The offset of each trial from motion, as it was read, with and without its rest, and the run time.
+3. The offset of each trial from motion, as it was read, with and without its rest, and the run time.
 
 D. Laidig, M. Caruso, A. Cereatti, T. Seel, "BROAD - A benchmark for robust inertial orientation estimation", Data 2021, CC BY 4.0.
 """
@@ -31,7 +29,7 @@ from undrift.calibration.reference import ReferenceFit, fit_reference
 from undrift.correction.motion import fit_motion
 from undrift.correction.rest import find_rest_offset
 from undrift.drift.observe import nominal_triad
-from undrift.model import AdcModel, Calibration, TriadModel
+from undrift.model import AdcModel, Calibration
 from undrift.record import Record, Reference
 from undrift.units import STANDARD_GRAVITY
 from undrift.validation.agreement import Validation, validate_leave_one_out, validate_trials
@@ -171,77 +169,6 @@ def expected(device: str, prior: ErrorPrior) -> Iterator[tuple[int, Validation]]
             yield count, validate_leave_one_out(pairs(numbers), settings=TrialSettings(prior=prior), names=numbers)
 
 
-# ---- 3. hierarchical prior: x of a recording = x of the device + N(0, within); x of the device = common + N(0, between)
-
-VARIANTS = ("pooled", "recordings weighed", "and devices shared")
-
-
-def held_out(variant: str, device: str, number: str, learning_devices: Sequence[str]) -> Figures:
-    """Return the errors of a trial with the other trials of its device, and for the prior with other devices only."""
-    numbers, adc = DEVICES[device], adc_of(device)
-    remaining = [n for n in numbers if n != number]
-    if variant == "pooled":
-        fit = _pooled(tuple(remaining), device)
-        model = fit.model_at_rest_offset(at_rest(number, adc, fit.triad.model))
-    else:
-        parts = [e for n, e in zip(numbers, estimates([device])[0], strict=True) if n != number]
-        x = _posterior(parts, learning_devices, shared=variant == VARIANTS[2])
-        model = single(remaining[0], adc).triad.model
-        offset = at_rest(number, adc, model)  # only the rest is taken from the held-out trial
-        model = replace(model, matrix=x[:9].reshape(3, 3), offset=offset, moving_offset=x[9:])
-    calibration = Calibration(
-        device="", reference_temp_c=float("nan"), gravity_m_s2=STANDARD_GRAVITY, gyro=model, adc=adc
-    )
-    return validate_trial(*trial(number), calibration=calibration).figures
-
-
-def at_rest(number: str, adc: AdcModel | None, model: TriadModel) -> FloatArray:
-    """Return the mean reading of a trial at rest, with codes corrected as in a model."""
-    single_fit = single(number, adc)
-    rest, codes, other = single_fit.rest_offsets[0], single_fit.triad.model.code_offset, model.code_offset
-    return rest if codes is None or other is None else rest + (single_fit.triad.model.offset - rest) / codes * other
-
-
-@cache
-def _pooled(numbers: tuple[str, ...], device: str) -> ReferenceFit:
-    trials, adc = pairs(numbers), adc_of(device)
-    return fit_reference([p[0] for p in trials], [p[1] for p in trials], adc=adc)
-
-
-def _posterior(
-    parts: list[tuple[FloatArray, FloatArray]], learning_devices: Sequence[str], *, shared: bool
-) -> FloatArray:
-    prior = learnt(learning_devices)
-    within = np.diag(np.repeat((prior.matrix**2, prior.motion_offset**2), (9, 3)))
-    weights = [np.linalg.inv(covariance + within) for _, covariance in parts]
-    normal, total = sum(weights), sum(w @ x for w, (x, _) in zip(weights, parts, strict=True))
-    if shared:
-        means = np.array([np.mean([x for x, _ in group], axis=0) for group in estimates(learning_devices)])
-        nominal = np.append(np.eye(3).ravel(), means[:, 9:].mean(axis=0))
-        deviations = means - nominal
-        between = np.repeat((np.mean(deviations[:, :9] ** 2), np.mean(means[:, 9:] ** 2)), (9, 3))
-        normal, total = normal + np.diag(1.0 / between), total + nominal / between
-    return np.linalg.solve(normal, total)
-
-
-def nested() -> Iterator[tuple[str, dict[str, list[Figures]], str]]:
-    """Yield each device with the errors of its trials by each variant, and the variant that the other devices choose."""
-    for device, numbers in DEVICES.items():
-        learning_devices = [d for d in DEVICES if d != device]
-        inner = {
-            variant: np.mean(
-                [
-                    held_out(variant, d, n, [e for e in learning_devices if e != d]).end_total_deg
-                    for d in learning_devices
-                    for n in DEVICES[d]
-                ]
-            )
-            for variant in VARIANTS
-        }
-        outer = {variant: [held_out(variant, device, n, learning_devices) for n in numbers] for variant in VARIANTS}
-        yield device, outer, min(inner, key=lambda name: inner[name])
-
-
 # ---- tables
 
 
@@ -253,22 +180,9 @@ def _row(name: str, figures: Sequence[Figures]) -> str:
 
 def main() -> None:
     """Print the tables."""
-    for table_name in sys.argv[1:] or ("steps", "expected", "nested", "offset"):
-        {"steps": print_steps, "expected": print_expected, "nested": print_nested, "offset": print_offsets}[
-            table_name
-        ]()
-
-
-def print_nested() -> None:
-    """Print the hierarchical prior against the pooled fit, all choices made on other devices."""
-    chosen, every = [], {variant: [] for variant in VARIANTS}
-    for device, outer, best in nested():
-        for variant, figures in outer.items():
-            print(_row(f"{device}, {variant}" + " (chosen)" * (variant == best), figures), flush=True)
-            every[variant] += figures
-        chosen += outer[best]
-    for variant, figures in (*every.items(), ("chosen by the other devices", chosen)):
-        print(_row(f"all, {variant}", figures))
+    tables = {"steps": print_steps, "expected": print_expected, "offset": print_offsets}
+    for name in sys.argv[1:] or tables:
+        tables[name]()
 
 
 def print_steps() -> None:

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from testkit.data import data_path, show
-from testkit.motion_of_poses import motion_from_poses
 from undrift.frames import rotate
 from undrift.io.mocap import Markers, pose_from_cluster, read_c3d, read_trc
 from undrift.io.reference import Body, device_on, find_body
-from undrift.sim.motion.poses import PoseSettings
+from undrift.record import Reference
+from undrift.sim.motion.motion import Motion
+from undrift.sim.motion.poses import PoseSettings, fit_pose_spline
 
 FILES = {
     "STS1": ("mocap_sit_to_stand", "STS1.trc.gz"),
@@ -33,6 +34,13 @@ def read(trial: str) -> Markers:
     return read_c3d(path, up="y") if trial.endswith("c3d") else read_trc(path, up="y")
 
 
+def motion_at(reference: Reference, rate_hz: float = 286.0) -> Motion:
+    """Return the motion through poses at a sample rate."""
+    spline = fit_pose_spline(reference, SETTINGS)
+    start, stop = spline.span_s
+    return spline.at(start + np.arange(int((stop - start) * rate_hz + 1e-6) + 1) / rate_hz, G)
+
+
 def lean_deg(body: Body):
     return np.degrees(np.arccos(rotate(body.reference.q_nb, np.array([0.0, 0.0, 1.0]))[:, 2]))
 
@@ -41,7 +49,7 @@ def test_trunk_leans_43_deg_and_pitches_at_136_deg_per_s():
     markers = read("STS1")
     trunk = find_body(markers, "trunk")
     c7 = markers.pick(["C7"])[:, 0]
-    motion = motion_from_poses(trunk.reference, gravity_m_s2=G, sample_rate_hz=286.0, settings=SETTINGS)
+    motion = motion_at(trunk.reference)
     lean = lean_deg(trunk)
     rate = np.degrees(np.abs(motion.rate_b).max(axis=0))
     show("C7 rises, m", f"{np.ptp(c7[:, 2]):.3f}", "0.468")
@@ -63,7 +71,7 @@ def test_the_stairs_lead_1_47_m_forward_and_0_67_m_up():
         assert 0.12 <= way[1] <= 0.19
         assert way[2] == pytest.approx(0.67, abs=0.005)
     device = device_on(find_body(markers, "pelvis"))
-    motion = motion_from_poses(device, gravity_m_s2=G, sample_rate_hz=286.0, settings=SETTINGS)
+    motion = motion_at(device)
     show("device at L5 forward, left, up, m", np.round(np.ptp(device.position, axis=0), 2).tolist())
     assert (motion.valid == 1.0).all()
 
@@ -73,7 +81,7 @@ def test_every_trial_becomes_the_motion_of_a_device_at_l5(trial):
     markers = read(trial)
     pelvis, trunk = find_body(markers, "pelvis"), find_body(markers, "trunk")
     device = device_on(pelvis)
-    motion = motion_from_poses(device, gravity_m_s2=G, sample_rate_hz=286.0, settings=SETTINGS)
+    motion = motion_at(device)
     known = motion.valid > 0.0
     rate, force = np.degrees(np.abs(motion.rate_b[known]).max(axis=0)), np.linalg.norm(motion.force_b[known], axis=1)
     lean = lean_deg(trunk)
@@ -99,7 +107,7 @@ def test_a_lost_marker_is_a_gap_and_not_a_jump():
     lost = np.flatnonzero(np.isnan(markers.pick(["C7"])[:, 0, 0]))
     trunk = find_body(markers, "trunk")
     assert np.flatnonzero(~trunk.reference.valid).tolist() == lost.tolist()
-    motion = motion_from_poses(trunk.reference, gravity_m_s2=G, sample_rate_hz=286.0, settings=SETTINGS)
+    motion = motion_at(trunk.reference)
     rate = np.degrees(np.abs(motion.rate_b[:, 1]).max())
     show("STSAsym1: frames without C7; peak trunk pitch rate, deg/s", f"{len(lost)}; {rate:.0f}")
     assert (motion.valid == 1.0).all()  # three frames are bridged
@@ -108,7 +116,7 @@ def test_a_lost_marker_is_a_gap_and_not_a_jump():
 
 def test_markers_lost_for_long_mask_the_body():
     thorax = pose_from_cluster(read("squat.c3d"), [f"SehoonVSK35:{name}" for name in ("C7", "T10", "STRN")])
-    motion = motion_from_poses(thorax, gravity_m_s2=G, sample_rate_hz=120.0, settings=SETTINGS)
+    motion = motion_at(thorax, 120.0)
     known = np.round([100 * thorax.valid.mean(), 100 * motion.valid.mean()], 1).tolist()
     show("squat.c3d: thorax visible, %; known after trimming, %", known, "")
     assert motion.valid.mean() < thorax.valid.mean() < 0.85

@@ -1,228 +1,173 @@
-"""What a person does to a recording or its map, the same for every file; each of them with the words that name it."""
+"""What a person does to a recording or its map, the same for every command, and the text that names it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from mistakes import causes
 from mistakes.sound import ACCEL, GYRO, Recording
+from undrift.units import STANDARD_GRAVITY as G
 
-G = 9.80665
+DPS = 180.0 / np.pi
+GYRO_NAMES, ACCEL_NAMES = "gx gy gz", "ax ay az"
+
+SATURATED_SAYS = r"saturated|stuck at"
+OTHER_DEVICE_SAYS = "calibration of another device|not this device's calibration"
+ALREADY_SAYS = r"raw readings, got a corrected"
+NOT_STILL_SAYS = r"not at rest|device at rest, got"
+FAHRENHEIT_SAYS = "degF"
+KELVIN_SAYS = r"in K, not degC|up to 300 degc.*(?:kelvin|in K\b)"
+TEMP_COUNTS_SAYS = r"up to 300 degc"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+def exchanged(triad: str, pair: str) -> str:
+    """Return the text that names two exchanged columns."""
+    return rf"{triad}\w* columns {pair[0]} and {pair[1]} are exchanged"
+
+
+def wrong_rate(true_hz: int) -> str:
+    """Return the text that names another sample rate, within 5 %."""
+    return rf"the file has {true_hz // 10}\d samples a second"
+
+
+@dataclass(frozen=True, slots=True)
 class Habit:
     """One change of recordings."""
 
     name: str
     change: Callable[[Recording], Recording]
-    named: tuple[str, ...]
+    says: str
 
 
-def _columns(**mapped: tuple[str, ...]) -> Callable[[Recording], Recording]:
-    return lambda one: replace(one, **mapped)  # type: ignore[arg-type]
+def _mapped(**columns: str) -> Callable[[Recording], Recording]:
+    return lambda recording: replace(recording, **{name: tuple(text.split()) for name, text in columns.items()})
 
 
-def _times(names: tuple[str, ...], factor: float) -> Callable[[Recording], Recording]:
-    return lambda one: one.scaled(names, factor)
+def _scaled(names: str, factor: float, **units: str) -> Callable[[Recording], Recording]:
+    return lambda recording: recording.scaled(tuple(names.split()), factor).in_units(**units)
 
 
-def without_time(one: Recording, sample_rate_hz: float) -> Recording:
-    """Return it without a column of time."""
-    return replace(one, sample_rate_hz=sample_rate_hz)
+def _clipped(names: tuple[str, ...], limit: float) -> Callable[[Recording], Recording]:
+    return lambda recording: recording.changed(names, lambda values: np.clip(values, -limit, limit))
 
 
-def usual_rate(one: Recording) -> float:
-    """Return its sample rate as a person would state it, Hz."""
-    return float(round(1.0 / np.median(np.diff(one.columns["t"]))))
+def _temperature(change: Callable[[Any], Any]) -> Callable[[Recording], Recording]:
+    return lambda recording: recording.with_columns(T=change(recording.columns["T"]))
 
 
-def without_gravity(one: Recording) -> Recording:
+def _rows_of(recording: Recording, order: Callable[[np.ndarray], np.ndarray]) -> Recording:
+    return recording.rows(order(np.arange(len(recording.columns["t"]))))
+
+
+def _backward(recording: Recording) -> Recording:
+    return _rows_of(recording, np.flip)
+
+
+def _at_rate(
+    factor: float, order: Callable[[np.ndarray], np.ndarray] = lambda rows: rows
+) -> Callable[[Recording], Recording]:
+    """Return the change to a file without time, with a factor of its usual rate in the map."""
+
+    def changed(recording: Recording) -> Recording:
+        rate_hz = float(round(1.0 / np.median(np.diff(recording.columns["t"]))))
+        return _rows_of(replace(recording, sample_rate_hz=factor * rate_hz), order)
+
+    return changed
+
+
+def _without_gravity(recording: Recording) -> Recording:
     """Return what an app calls linear acceleration: gravity is removed by the orientation that the app knows."""
-    force = np.stack([one.columns[name] for name in ACCEL], axis=1)
-    window = 101  # the app's low-pass of gravity, in samples
-    kernel = np.ones(window) / window
-    slow = np.stack([np.convolve(column, kernel, mode="same") for column in force.T], axis=1)
-    gravity = G * slow / np.linalg.norm(slow, axis=1)[:, None]
-    return one.with_columns(**dict(zip(ACCEL, (force - gravity).T, strict=True)))
+
+    def linear(force: np.ndarray) -> np.ndarray:
+        kernel = np.ones(101) / 101.0  # the app's low-pass of gravity
+        slow = np.stack([np.convolve(column, kernel, mode="same") for column in force.T], axis=1)
+        return force - G * slow / np.linalg.norm(slow, axis=1)[:, None]
+
+    return recording.changed(ACCEL, linear)
 
 
-def clipped(one: Recording, names: tuple[str, ...], limit: float) -> Recording:
-    """Return it as a device of a smaller range writes it."""
-    return one.with_columns(**{name: np.clip(one.columns[name], -limit, limit) for name in names})
+def in_gap(recording: Recording, *, with_nan: bool) -> Recording:
+    """Return the recording with NaN from 20 to 22 s, or without these rows."""
+    inside = (recording.columns["t"] >= 20.0) & (recording.columns["t"] < 22.0)
+    if not with_nan:
+        return recording.rows(np.flatnonzero(~inside))
+    columns = {name: np.where(inside, np.nan, recording.columns[name]) for name in (*GYRO, *ACCEL)}
+    return replace(recording.with_columns(**columns), keys={"gaps": "keep"})
 
+
+# ---- columns
 
 ACCEL_XY = Habit(
-    name="maps the accelerometer columns x and y exchanged",
-    change=_columns(accel=("ay", "ax", "az")),
-    named=causes.exchanged(causes.ACCEL, "x", "y"),
+    "maps the accelerometer columns x and y exchanged", _mapped(accel="ay ax az"), exchanged("accel", "xy")
 )
 ACCEL_YZ = Habit(
-    name="maps the accelerometer columns y and z exchanged",
-    change=_columns(accel=("ax", "az", "ay")),
-    named=causes.exchanged(causes.ACCEL, "y", "z"),
+    "maps the accelerometer columns y and z exchanged", _mapped(accel="ax az ay"), exchanged("accel", "yz")
 )
-ACCEL_RING = Habit(
-    name="maps the accelerometer columns in a ring, y z x",
-    change=_columns(accel=("ay", "az", "ax")),
-    named=causes.ring(causes.ACCEL),
-)
-GYRO_XY = Habit(
-    name="maps the gyroscope columns x and y exchanged",
-    change=_columns(gyro=("gy", "gx", "gz")),
-    named=causes.exchanged(causes.GYRO, "x", "y"),
-)
-GYRO_YZ = Habit(
-    name="maps the gyroscope columns y and z exchanged",
-    change=_columns(gyro=("gx", "gz", "gy")),
-    named=causes.exchanged(causes.GYRO, "y", "z"),
-)
-GYRO_RING = Habit(
-    name="maps the gyroscope columns in a ring, z x y",
-    change=_columns(gyro=("gz", "gx", "gy")),
-    named=causes.ring(causes.GYRO),
-)
-GYRO_Y_REVERSED = Habit(
-    name="has a logger that writes gyroscope y with the other sign",
-    change=_times(("gy",), -1.0),
-    named=causes.reversed_(causes.GYRO, "y"),
-)
-GYRO_REVERSED = Habit(
-    name="has a logger that counts turns as left-handed, all gyroscope columns reversed",
-    change=_times(GYRO, -1.0),
-    named=(r"all gyroscope columns are reversed", rf"{causes.GYRO}[^;]*(?:opposite sign|left-handed)"),
-)
-ACCEL_Z_REVERSED = Habit(
-    name="has a logger that writes accelerometer z with the other sign",
-    change=_times(("az",), -1.0),
-    named=causes.reversed_(causes.ACCEL, "z"),
-)
-NEGATED = Habit(
-    name="has a logger that writes acceleration with the opposite sign, as iOS does",
-    change=_times(ACCEL, -1.0),
-    named=causes.NEGATED,
-)
-LEFT_HANDED = Habit(
-    name="has a logger whose frame is left-handed: y of both sensors reversed",
-    change=_times(("ay", "gy"), -1.0),
-    named=causes.LEFT_HANDED,
-)
-DPS_FOR_RAD = Habit(
-    name="states rad/s of a gyroscope that writes deg/s",
-    change=_times(GYRO, 180.0 / np.pi),
-    named=causes.DPS_FOR_RAD,
-)
-RAD_FOR_DPS = Habit(
-    name="states deg/s of a gyroscope that writes rad/s",
-    change=lambda one: one.in_units(gyro="dps"),
-    named=causes.RAD_FOR_DPS,
-)
-MDPS_FOR_DPS = Habit(
-    name="states deg/s of a gyroscope that writes mdeg/s",
-    change=lambda one: one.scaled(GYRO, 1e3 * 180.0 / np.pi).in_units(gyro="dps"),
-    named=causes.MDPS_FOR_DPS,
-)
-COUNTS_FOR_DPS = Habit(
-    name="states deg/s of a gyroscope that writes counts, 16.4 per deg/s",
-    change=lambda one: one.scaled(GYRO, 16.4 * 180.0 / np.pi).in_units(gyro="dps"),
-    named=(*causes.COUNTS_FOR_DPS, rf"{causes.GYRO}[^;]*16(?:\.\d+)? times[^;]*"),
-)
-G_FOR_SI = Habit(
-    name="states m/s2 of an accelerometer that writes g", change=_times(ACCEL, 1.0 / G), named=causes.G_FOR_SI
-)
-SI_FOR_G = Habit(
-    name="states g of an accelerometer that writes m/s2",
-    change=lambda one: one.in_units(accel="g"),
-    named=causes.SI_FOR_G,
-)
-MG_FOR_SI = Habit(
-    name="states m/s2 of an accelerometer that writes mg", change=_times(ACCEL, 1e3 / G), named=causes.MG_FOR_SI
-)
-MG_FOR_G = Habit(
-    name="states g of an accelerometer that writes mg",
-    change=lambda one: one.scaled(ACCEL, 1e3 / G).in_units(accel="g"),
-    named=causes.MG_FOR_G,
-)
-MS_FOR_S = Habit(name="states s of a time in ms", change=_times(("t",), 1e3), named=causes.MS)
-US_FOR_S = Habit(name="states s of a time in us", change=_times(("t",), 1e6), named=causes.US)
-NS_FOR_S = Habit(name="states s of a time in ns", change=_times(("t",), 1e9), named=causes.NS)
-S_FOR_MS = Habit(
-    name="states ms of a time in s",
-    change=lambda one: one.in_units(time="ms"),
-    named=causes.time_in("(?:seconds|s)"),
-)
-HALF_RATE = Habit(
-    name="declares 50 samples a second of a file with 100",
-    change=lambda one: without_time(one, 0.5 * usual_rate(one)),
-    named=causes.rate(100, 50),
-)
-DOUBLE_RATE = Habit(
-    name="declares 200 samples a second of a file with 100",
-    change=lambda one: without_time(one, 2.0 * usual_rate(one)),
-    named=causes.rate(100, 200),
+GYRO_XY = Habit("maps the gyroscope columns x and y exchanged", _mapped(gyro="gy gx gz"), exchanged("gyro", "xy"))
+GYRO_YZ = Habit("maps the gyroscope columns y and z exchanged", _mapped(gyro="gx gz gy"), exchanged("gyro", "yz"))
+ACCEL_RING = Habit("maps the accelerometer columns in a ring, y z x", _mapped(accel="ay az ax"), "exchanged in a ring")
+GYRO_RING = Habit("maps the gyroscope columns in a ring, z x y", _mapped(gyro="gz gx gy"), "exchanged in a ring")
+SENSORS_SWAPPED = Habit(
+    "maps each sensor as the other", _mapped(gyro=ACCEL_NAMES, accel=GYRO_NAMES), "accelerometer columns are exchanged"
 )
 TEMPERATURE_AS_ACCEL = Habit(
-    name="maps the temperature as accelerometer z",
-    change=_columns(accel=("ax", "ay", "T")),
-    named=causes.OTHER_COLUMN,
+    "maps the temperature as accelerometer z", _mapped(accel="ax ay T"), "accelerometer than for temperature"
 )
-SENSORS_SWAPPED = Habit(
-    name="maps the accelerometer as gyroscope and the gyroscope as accelerometer",
-    change=_columns(gyro=ACCEL, accel=GYRO),
-    named=causes.SWAPPED,
+
+# ---- signs
+
+GYRO_Y_REVERSED = Habit("logs gyroscope y with the other sign", _scaled("gy", -1.0), "gyroscope column y is reversed")
+GYRO_REVERSED = Habit("logs left-handed turns", _scaled(GYRO_NAMES, -1.0), "all gyroscope columns are reversed")
+ACCEL_Z_REVERSED = Habit(
+    "logs accelerometer z with the other sign", _scaled("az", -1.0), "accelerometer column z is reversed"
 )
-NO_GRAVITY = Habit(
-    name="takes the app's linear acceleration, without gravity", change=without_gravity, named=causes.NO_GRAVITY
+NEGATED = Habit("logs acceleration of the opposite sign, as iOS does", _scaled(ACCEL_NAMES, -1.0), "opposite sign")
+LEFT_HANDED = Habit("has a left-handed frame, with y reversed", _scaled("ay gy", -1.0), "of both (?:triads|sensors)")
+
+# ---- units
+
+DPS_FOR_RAD = Habit("states rad/s of a gyroscope in deg/s", _scaled(GYRO_NAMES, DPS), "gyroscope is in deg/s")
+RAD_FOR_DPS = Habit(
+    "states deg/s of a gyroscope in rad/s", _scaled(GYRO_NAMES, 1.0, gyro="dps"), "gyroscope is in rad/s"
 )
-DOUBLED_ROWS = Habit(
-    name="has every row twice, in a file without time",
-    change=lambda one: without_time(one.rows(np.repeat(np.arange(len(one.columns["t"])), 2)), usual_rate(one)),
-    named=(*causes.REPEATED, *causes.rate(200, 100)),
+MDPS_FOR_DPS = Habit(
+    "states deg/s of a gyroscope in mdeg/s", _scaled(GYRO_NAMES, 1e3 * DPS, gyro="dps"), "gyroscope in mdeg/s"
 )
-REVERSED_TIME = Habit(
-    name="has the rows in reverse order, in a file without time",
-    change=lambda one: without_time(one.rows(np.arange(len(one.columns["t"]))[::-1]), usual_rate(one)),
-    # Played backward, every turn has the other sign: nothing else shows
-    named=(*causes.BACKWARD, r"all gyroscope columns are reversed"),
+COUNTS_FOR_DPS = Habit(
+    "states deg/s of a gyroscope in counts",
+    _scaled(GYRO_NAMES, 16.4 * DPS, gyro="dps"),
+    "gyroscope is in (?:counts|codes)",
 )
-BACKWARD_TIME = Habit(
-    name="has the rows in reverse order, with their time",
-    change=lambda one: one.rows(np.arange(len(one.columns["t"]))[::-1]),
-    named=causes.BACKWARD,
-)
-GYRO_CLIPPED = Habit(
-    name="moves faster than the gyroscope's range of 60 deg/s",
-    change=lambda one: clipped(one, GYRO, np.radians(60.0)),
-    named=causes.SATURATED,
-)
-ACCEL_CLIPPED = Habit(
-    name="has an accelerometer whose range ends at 0.8 g",
-    change=lambda one: clipped(one, ACCEL, 0.8 * G),
-    named=causes.SATURATED,
-)
+G_FOR_SI = Habit("states m/s2 of an accelerometer in g", _scaled(ACCEL_NAMES, 1.0 / G), "is in g, not m/s2")
+SI_FOR_G = Habit("states g of an accelerometer in m/s2", _scaled(ACCEL_NAMES, 1.0, accel="g"), "is in m/s2, not g")
+MG_FOR_SI = Habit("states m/s2 of an accelerometer in mg", _scaled(ACCEL_NAMES, 1e3 / G), "is in mg, not m/s2")
+MG_FOR_G = Habit("states g of an accelerometer in mg", _scaled(ACCEL_NAMES, 1e3 / G, accel="g"), "is in mg, not g")
+MS_FOR_S = Habit("states s of a time in ms", _scaled("t", 1e3), "milliseconds")
+US_FOR_S = Habit("states s of a time in us", _scaled("t", 1e6), "time is in microseconds")
+NS_FOR_S = Habit("states s of a time in ns", _scaled("t", 1e9), "time is in nanoseconds")
+S_FOR_MS = Habit("states ms of a time in s", _scaled("", 1.0, time="ms"), "time is in seconds")
 FAHRENHEIT = Habit(
-    name="states degC of a temperature in degF",
-    change=lambda one: one.with_columns(T=1.8 * one.columns["T"] + 32.0),
-    named=causes.FAHRENHEIT,
+    "states degC of a temperature in degF", _temperature(lambda temp: 1.8 * temp + 32.0), FAHRENHEIT_SAYS
 )
-KELVIN = Habit(
-    name="states degC of a temperature in K",
-    change=lambda one: one.with_columns(T=one.columns["T"] + 273.15),
-    named=causes.KELVIN,
-)
+KELVIN = Habit("states degC of a temperature in K", _temperature(lambda temp: temp + 273.15), KELVIN_SAYS)
 TEMP_COUNTS = Habit(
-    name="states degC of a temperature in counts",
-    change=lambda one: one.with_columns(T=340.0 * (one.columns["T"] - 36.53)),
-    named=causes.TEMP_COUNTS,
+    "states degC of a temperature in counts", _temperature(lambda temp: 340.0 * (temp - 36.53)), TEMP_COUNTS_SAYS
 )
 
+# ---- time and range
 
-def gap(one: Recording, start_s: float, stop_s: float, *, kept: bool) -> Recording:
-    """Return it with a stretch of NaN, or without the rows of that stretch."""
-    inside = (one.columns["t"] >= start_s) & (one.columns["t"] < stop_s)
-    if not kept:
-        return one.rows(np.flatnonzero(~inside))
-    names = (*GYRO, *ACCEL)
-    values = {name: np.where(inside, np.nan, one.columns[name]) for name in names}
-    return replace(one.with_columns(**values), more='gaps = "keep"')
+HALF_RATE = Habit("declares 50 samples a second of a file with 100", _at_rate(0.5), wrong_rate(100))
+DOUBLE_RATE = Habit("declares 200 samples a second of a file with 100", _at_rate(2.0), wrong_rate(100))
+DOUBLED_ROWS = Habit(
+    "has every row twice, without time", _at_rate(1.0, lambda rows: np.repeat(rows, 2)), wrong_rate(200)
+)
+REVERSED_TIME = Habit(  # played backward, every turn has the other sign: nothing else shows
+    "has the rows in reverse order, without time", _at_rate(1.0, np.flip), "all gyroscope columns are reversed"
+)
+BACKWARD_TIME = Habit("has the rows in reverse order, with their time", _backward, "strictly increasing time")
+NO_GRAVITY = Habit("takes the app's linear acceleration, without gravity", _without_gravity, "gravity is missing")
+GYRO_CLIPPED = Habit(
+    "moves faster than the gyroscope's range of 60 deg/s", _clipped(GYRO, np.radians(60.0)), SATURATED_SAYS
+)
+ACCEL_CLIPPED = Habit("has an accelerometer whose range ends at 0.8 g", _clipped(ACCEL, 0.8 * G), SATURATED_SAYS)

@@ -1,31 +1,28 @@
-"""Sound input: simulated devices, what was recorded with them, and the truth about it. Made once in a process, 1 s in all."""
+"""Sound input: simulated devices and what was recorded with them. Made once in a process."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
+import tomli_w
 
 import undrift
 from undrift.arrays import FloatArray
 from undrift.io.text import write_rows
-from undrift.sim.device.presets import Grade, grade_of
-from undrift.sim.device.truth import true_calibration
+from undrift.sim.device.presets import grade_of
 from undrift.sim.motion.bench import BenchSettings
-from undrift.sim.motion.motion import Motion
 from undrift.sim.thermal import ThermalSettings
 from undrift.units import RADIAN_PER_DEGREE, gravity_at
 
 TEMP_C = 25.0
-LATITUDE_DEG = 60.0  # Where all of it was recorded, at the level of the sea
+LATITUDE_DEG = 60.0  # all recordings were made here, at sea level
 GRAVITY = gravity_at(LATITUDE_DEG, 0.0)
 SI = {"time": "s", "gyro": "rad/s", "accel": "m/s2", "temp": "degC"}
 GYRO, ACCEL = ("gx", "gy", "gz"), ("ax", "ay", "az")
-
-
 SET_POINTS_C = (10.0, 17.0, 25.0, 33.0, 41.0)
-FACES_AND_TURNS = BenchSettings(gravity_m_s2=GRAVITY)
+RATES = tuple(rate * RADIAN_PER_DEGREE for rate in (30.0, 60.0, 90.0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,72 +30,65 @@ class Recording:
     """A file of a foreign logger, and the map that a person wrote for it."""
 
     columns: Mapping[str, FloatArray]
-    gyro: tuple[str, ...] = GYRO  # As the map states them, x, y, z
+    gyro: tuple[str, ...] = GYRO  # columns in the map: x, y, z
     accel: tuple[str, ...] = ACCEL
     temp: str = "T"  # "" leaves it out of the map
     units: Mapping[str, str] = field(default_factory=lambda: SI)
-    sample_rate_hz: float | None = None  # Stated in place of the column of time
-    more: str = ""  # Further lines of the map
+    sample_rate_hz: float | None = None  # in the map, in place of the column of time
+    keys: Mapping[str, str] = field(default_factory=dict)  # further keys of the map
 
     def with_columns(self, **columns: FloatArray) -> "Recording":
-        """Return it with other columns in the file."""
+        """Return the recording with other columns in the file."""
         return replace(self, columns={**self.columns, **columns})
 
     def scaled(self, names: tuple[str, ...], factor: float) -> "Recording":
-        """Return it with some columns times a factor in the file."""
+        """Return the recording with some columns times a factor in the file."""
         return self.with_columns(**{name: factor * self.columns[name] for name in names})
 
+    def changed(self, names: tuple[str, ...], change: Callable[[FloatArray], FloatArray]) -> "Recording":
+        """Return the recording with a triad (N, 3) of the file changed."""
+        values = change(np.stack([self.columns[name] for name in names], axis=1))
+        return self.with_columns(**dict(zip(names, values.T, strict=True)))
+
     def rows(self, chosen: FloatArray) -> "Recording":
-        """Return it with the chosen rows alone."""
+        """Return the recording with the chosen rows only."""
         return replace(self, columns={name: values[chosen] for name, values in self.columns.items()})
 
     def in_units(self, **units: str) -> "Recording":
-        """Return it with other units stated in the map."""
+        """Return the recording with other units in the map."""
         return replace(self, units={**self.units, **units})
 
     def map_text(self) -> str:
         """Return the map as TOML."""
-        by_time = self.sample_rate_hz is None
-        columns = [*(['time = "t"'] if by_time else []), f"gyro = {list(self.gyro)}", f"accel = {list(self.accel)}"]
-        columns += [f'temp = "{self.temp}"'] if self.temp else []
-        units = {k: v for k, v in self.units.items() if (k != "time" or by_time) and (k != "temp" or self.temp)}
-        stated = ", ".join(f'{name} = "{unit}"' for name, unit in units.items())
-        lines = [] if by_time else [f"sample_rate_hz = {self.sample_rate_hz}"]
-        return "\n".join((*lines, f"columns = {{ {', '.join(columns)} }}", f"units = {{ {stated} }}", self.more)) + "\n"
+        columns = {"time": "t", "gyro": self.gyro, "accel": self.accel, "temp": self.temp}
+        absent = {"time"} if self.sample_rate_hz else set()
+        absent |= set() if self.temp else {"temp"}
+        columns, units = ({k: v for k, v in part.items() if k not in absent} for part in (columns, self.units))
+        rate = {"sample_rate_hz": self.sample_rate_hz} if self.sample_rate_hz else {}
+        return tomli_w.dumps({**rate, **self.keys, "columns": columns, "units": units})
 
     def record(self) -> undrift.Record:
-        """Return it as a person makes a Record of arrays."""
-        gyro, accel = (np.column_stack([self.columns[k] for k in names]) for names in (self.gyro, self.accel))
+        """Return the record that a person makes of arrays."""
+        gyro, accel = (np.column_stack([self.columns[name] for name in names]) for names in (self.gyro, self.accel))
         clock = {"sample_rate_hz": self.sample_rate_hz} if self.sample_rate_hz else {"time": self.columns["t"]}
         units = {"gyro_unit": self.units["gyro"], "accel_unit": self.units["accel"]}
         return undrift.Record.from_arrays(gyro=gyro, accel=accel, temp_c=self.columns["T"], **units, **clock)
 
     def plain(self) -> "Recording":
-        """Return it with the names that the map gives its columns: a file whose head says what the map says."""
+        """Return the recording with the names of the map in the file, as the page proposes them."""
         names = {"t": "t", **dict(zip((*GYRO, *ACCEL), (*self.gyro, *self.accel), strict=True)), "temperature": "T"}
         columns = {name: self.columns[other] for name, other in names.items()}
         return replace(self, columns=columns, gyro=GYRO, accel=ACCEL, temp="temperature")
 
-    def write(self, folder: Path, name: str) -> Path:
+    def write(self, path: Path) -> Path:
         """Write the file."""
-        columns = {key: values for key, values in self.columns.items() if key != "t" or self.sample_rate_hz is None}
-        write_rows(folder / name, list(columns), list(columns.values()))
-        return folder / name
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Trial:
-    """A recording of a worn device with what was true."""
-
-    recording: Recording
-    record: undrift.Record
-    reference: undrift.Reference
-    motion: Motion
-    right: undrift.Record  # The record as the true calibration corrects it
+        columns = {name: values for name, values in self.columns.items() if name != "t" or not self.sample_rate_hz}
+        write_rows(path, list(columns), list(columns.values()))
+        return path
 
 
 def recording_of(record: undrift.Record) -> Recording:
-    """Return a record in rad/s and m/s2, or in counts, as a foreign file with its right map."""
+    """Return the file that a logger writes of a record."""
     gyro, accel = np.asarray(record.gyro), np.asarray(record.accel)
     temp = np.full(len(record), TEMP_C) if record.temp_c is None else record.temp_c
     columns = {"t": record.time, **dict(zip(GYRO, gyro.T, strict=True)), **dict(zip(ACCEL, accel.T, strict=True))}
@@ -106,149 +96,123 @@ def recording_of(record: undrift.Record) -> Recording:
     return Recording(columns=columns | {"T": temp}, units=units)
 
 
-def _si(grade: Grade) -> Grade:
-    """Return a grade whose devices write rad/s and m/s2, as phones do."""
-    return replace(
-        grade,
-        gyro=replace(grade.gyro, unit="rad/s", sensitivity=1.0, adc=None),
-        accel=replace(grade.accel, unit="m/s2", sensitivity=1.0, adc=None),
-    )
-
-
 @cache
-def phone(seed: int = 11):
+def phone(seed: int = 11) -> undrift.DeviceModel:
     """Return a device that writes rad/s and m/s2; another seed is another device."""
-    return undrift.random_device(np.random.default_rng(seed), grade=_si(grade_of("consumer")))
+    grade = grade_of("consumer")
+    gyro = replace(grade.gyro, unit="rad/s", sensitivity=1.0, adc=None)
+    accel = replace(grade.accel, unit="m/s2", sensitivity=1.0, adc=None)
+    return undrift.random_device(np.random.default_rng(seed), grade=replace(grade, gyro=gyro, accel=accel))
 
 
 @cache
-def counter(seed: int = 12):
+def board() -> undrift.DeviceModel:
     """Return a device that writes counts."""
-    return undrift.random_device(np.random.default_rng(seed), grade="consumer")
+    return undrift.random_device(np.random.default_rng(12), grade="consumer")
 
 
 @cache
-def trial(task: str = "free", seed: int = 11) -> Trial:
-    """Return a recording of the phone in motion, between two rests."""
-    result = undrift.simulate_trial(
-        task, phone(seed), rng=np.random.default_rng(21), temp_c=TEMP_C, gravity_m_s2=GRAVITY
-    )
-    record = replace(result.record, device="")
-    right = undrift.correct(record, true_calibration(replace(phone(seed), serial="")))
-    return Trial(
-        recording=recording_of(record), record=record, reference=result.reference, motion=result.motion, right=right
+def trial(task: str = "free", seed: int = 11, draw: int = 21, temp_c: float = TEMP_C) -> undrift.SimulatedTrial:
+    """Return a recording of the phone in motion, between two rests, and its reference."""
+    return undrift.simulate_trial(
+        task, phone(seed), rng=np.random.default_rng(draw), temp_c=temp_c, gravity_m_s2=GRAVITY
     )
 
 
-def _pose_session(seed: int) -> undrift.Session:
-    brisk = BenchSettings(gravity_m_s2=GRAVITY, move_s=1.2)
+def session(kind: str, device: undrift.DeviceModel, draw: int, **settings: object) -> undrift.Session:
+    """Return a session on the bench; ``labelled`` is one of the settings."""
+    labelled = bool(settings.pop("labelled", True))
+    bench = BenchSettings(gravity_m_s2=GRAVITY, **settings)  # type: ignore[arg-type]
     return undrift.simulate_session(
-        "multi_position",
-        phone(seed),
-        rng=np.random.default_rng(31),
-        settings=brisk,
+        kind,  # type: ignore[arg-type]
+        device,
+        rng=np.random.default_rng(draw),
+        settings=bench,
         temp_c=TEMP_C,
-        labelled=False,
+        labelled=labelled,
     )
 
 
 @cache
-def poses(seed: int = 11) -> Recording:
+def pose_session(seed: int = 11) -> undrift.Session:
     """Return free poses of a phone, nothing labelled."""
-    return recording_of(_pose_session(seed).records[0])
+    return session("multi_position", phone(seed), 31, move_s=1.2, labelled=False)
+
+
+def poses(seed: int = 11) -> Recording:
+    """Return the recording of free poses."""
+    return recording_of(pose_session(seed).records[0])
 
 
 @cache
-def calibrated(seed: int = 11, *, remounted_: bool = False) -> undrift.Calibration:
-    """Return a sound calibration of a phone, whose files state no serial number."""
-    session = _pose_session(seed)
-    record = replace(session.records[0], device="")
-    if remounted_:
+def calibrated(seed: int = 11, *, remounted_axes: bool = False) -> undrift.Calibration:
+    """Return a sound calibration of a phone, whose files have no serial number."""
+    record = replace(pose_session(seed).records[0], device="")
+    if remounted_axes:
         columns = remounted(recording_of(record)).columns
         gyro, accel = (np.column_stack([columns[name] for name in names]) for names in (GYRO, ACCEL))
         record = replace(record, gyro=gyro, accel=accel)
-    return undrift.calibrate(replace(session, serial="", records=(record,)))
+    return undrift.calibrate(replace(pose_session(seed), serial="", records=(record,)))
 
 
-def remounted(one: Recording) -> Recording:
+def remounted(recording: Recording) -> Recording:
     """Return what the device writes with its x where z was, y where x was, z where y was."""
     columns = {"gx": "gz", "gy": "gx", "gz": "gy", "ax": "az", "ay": "ax", "az": "ay"}
-    return one.with_columns(**{name: one.columns[other] for name, other in columns.items()})
+    return recording.with_columns(**{name: recording.columns[other] for name, other in columns.items()})
 
 
 @cache
-def faces_and_turns() -> Recording:
+def faces_and_turns(**settings: float) -> Recording:
     """Return six faces and a full turn about each axis, nothing labelled."""
-    session = undrift.simulate_session(
-        "ferraris", phone(), rng=np.random.default_rng(41), settings=FACES_AND_TURNS, temp_c=TEMP_C
-    )
-    return recording_of(session.records[0])
+    return recording_of(session("ferraris", phone(), 41, **settings).records[0])
 
 
 @cache
 def table_session() -> undrift.Session:
     """Return six faces and a rate table, labelled, of a device that writes counts."""
-    rates = tuple(rate * RADIAN_PER_DEGREE for rate in (30.0, 60.0, 90.0))
-    settings = BenchSettings(gravity_m_s2=GRAVITY, turn_rates=rates, dwell_s=2.0, first_still_s=6.0)
-    return undrift.simulate_session("bench", counter(), rng=np.random.default_rng(51), settings=settings, temp_c=TEMP_C)
+    return session("bench", board(), 51, turn_rates=RATES, dwell_s=2.0, first_still_s=6.0)
 
 
 @cache
-def table_alone() -> undrift.Session:
+def table_without_faces() -> undrift.Session:
     """Return a rate table, of the device that writes counts."""
-    rates = tuple(rate * RADIAN_PER_DEGREE for rate in (30.0, 60.0, 90.0))
-    settings = BenchSettings(gravity_m_s2=GRAVITY, turn_rates=rates, dwell_s=4.0)
-    return undrift.simulate_session(
-        "rate_table", counter(), rng=np.random.default_rng(53), settings=settings, temp_c=TEMP_C
-    )
+    return session("rate_table", board(), 53, turn_rates=RATES, dwell_s=4.0)
 
 
 @cache
 def hand_session() -> undrift.Session:
     """Return six faces and three full turns by hand, labelled, of a device that writes counts."""
-    return undrift.simulate_session(
-        "ferraris", counter(), rng=np.random.default_rng(52), settings=FACES_AND_TURNS, temp_c=TEMP_C
-    )
+    return session("ferraris", board(), 52)
 
 
-@cache
-def counted_trial() -> Trial:
-    """Return a recording in counts, with the truth, for what a calibration of counts makes of it."""
-    result = undrift.simulate_trial(
-        "free", counter(), rng=np.random.default_rng(22), temp_c=TEMP_C, gravity_m_s2=GRAVITY
-    )
-    right = undrift.correct(result.record, true_calibration(counter()))
-    return Trial(
-        recording=recording_of(result.record),
-        record=result.record,
-        reference=result.reference,
-        motion=result.motion,
-        right=right,
+def thermal_session(kind: str, seed: int, draw: int, bench: dict[str, float], **settings: object) -> undrift.Session:
+    """Return a session of a phone over temperature, without rates."""
+    settings |= {"bench": BenchSettings(gravity_m_s2=GRAVITY, turn_rates=(), **bench)}  # type: ignore[arg-type]
+    return undrift.simulate_thermal_session(
+        kind,  # type: ignore[arg-type]
+        phone(seed),
+        rng=np.random.default_rng(draw),
+        settings=ThermalSettings(**settings),  # type: ignore[arg-type]
     )
 
 
 @cache
 def soak(seed: int = 11) -> undrift.Session:
     """Return rests of a phone at five temperatures; the thermometer is in the file."""
-    bench = BenchSettings(gravity_m_s2=GRAVITY, sample_rate_hz=20.0, turn_rates=(), still_s=20.0)
-    settings = ThermalSettings(bench=bench, set_points_c=SET_POINTS_C)
-    session = undrift.simulate_thermal_session("soak", phone(seed), rng=np.random.default_rng(61), settings=settings)
-    return replace(session, serial="", records=tuple(replace(record, device="") for record in session.records))
+    bench = {"sample_rate_hz": 20.0, "still_s": 20.0}
+    made = thermal_session("soak", seed, 61, bench, set_points_c=SET_POINTS_C)
+    return replace(made, serial="", records=tuple(replace(record, device="") for record in made.records))
 
 
 @cache
-def ramp(seed: int = 11) -> Recording:
+def ramp() -> Recording:
     """Return a phone at rest in a ramp up and back, at 4 Hz."""
-    bench = BenchSettings(gravity_m_s2=GRAVITY, sample_rate_hz=4.0, turn_rates=())
-    settings = ThermalSettings(bench=bench, ramp_c=(12.0, 40.0), ramp_c_per_min=2.0, ramp_hold_s=120.0)
-    session = undrift.simulate_thermal_session("ramp", phone(seed), rng=np.random.default_rng(62), settings=settings)
-    return recording_of(session.records[0])
+    course = {"ramp_c": (12.0, 40.0), "ramp_c_per_min": 2.0, "ramp_hold_s": 120.0}
+    return recording_of(thermal_session("ramp", 11, 62, {"sample_rate_hz": 4.0}, **course).records[0])
 
 
 @cache
 def rest() -> Recording:
     """Return a phone at rest for ten minutes, for its noise."""
-    bench = BenchSettings(gravity_m_s2=GRAVITY, sample_rate_hz=50.0, turn_rates=())
-    settings = ThermalSettings(bench=bench, ramp_c=(25.0, 25.01), ramp_hold_s=300.0)
-    session = undrift.simulate_thermal_session("ramp", phone(), rng=np.random.default_rng(63), settings=settings)
-    return recording_of(session.records[0])
+    course = {"ramp_c": (25.0, 25.01), "ramp_hold_s": 300.0}
+    return recording_of(thermal_session("ramp", 11, 63, {"sample_rate_hz": 50.0}, **course).records[0])

@@ -29,13 +29,11 @@ import numpy as np
 import undrift
 from testkit.command_line import check_call
 from testkit.daily_use import DailyUseSettings, simulate_daily_use
-from testkit.hand_turns import Device, make_recording
 from testkit.printing_board import sketch_line
 from testkit.walking import walk
 from undrift.cli.app import run
 from undrift.io.reference import write_reference
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.bench import BenchKind, BenchSettings
 from undrift.sim.motion.tasks import draw_task
@@ -165,93 +163,74 @@ def _device() -> tuple[DeviceModel, np.random.Generator]:
     return undrift.random_device(rng), rng
 
 
-def _bare(kind: BenchKind) -> Callable[[Path], None]:
-    def make(path: Path) -> None:
-        device, rng = _device()
-        undrift.write_record(undrift.simulate_session(kind, device, rng=rng, labelled=False).records[0], path)
+def _recording(kind: BenchKind, settings: BenchSettings = BenchSettings()) -> undrift.Record:
+    device, rng = _device()
+    return undrift.simulate_session(kind, device, rng=rng, settings=settings, labelled=False).records[0]
 
-    return make
+
+def _uncalibrated(record: undrift.Record) -> undrift.Record:
+    """Return codes as a phone reads them: with a unit, not yet calibrated."""
+    true = true_calibration(_device()[0], temp_c=25.0)
+    gyro, accel = (
+        np.asarray(raw) * np.trace(model.matrix) / 3.0  # type: ignore[union-attr]
+        for raw, model in ((record.gyro, true.gyro), (record.accel, true.accel))
+    )
+    return replace(record, gyro=gyro, accel=accel, gyro_unit="rad/s", accel_unit="m/s2")
 
 
 def _logger(path: Path) -> None:
     """Make a table with names of its own, in ms, deg/s and g."""
-    device, rng = _device()
-    record = undrift.simulate_session("ferraris", device, rng=rng, labelled=False).records[0]
-    rows = np.column_stack((1e3 * record.time, record.gyro / 16.384, record.accel / 4096.0))
+    record = _recording("ferraris")
+    rows = np.column_stack((1e3 * record.time, record.gyro / 16.384, record.accel / 4096.0))  # type: ignore[operator]
     np.savetxt(path, rows, "%.6f", ",", header="Time,Gx,Gy,Gz,Ax,Ay,Az", comments="")
 
 
 def _monitor(path: Path) -> None:
     """Make the text that a serial monitor saves of a board with a sketch of docs/firmware-logger."""
-    device, rng = _device()
-    record = undrift.simulate_session("ferraris", device, rng=rng, labelled=False).records[0]
-    rows = zip(np.round(1e6 * record.time).astype(int).tolist(), record.gyro, record.accel, strict=True)
+    record = _recording("ferraris")
+    rows = zip(np.round(1e6 * record.time).astype(int).tolist(), record.gyro, record.accel, strict=True)  # type: ignore[arg-type]
     lines = (sketch_line(k, time_us, gyro, accel, 25.0) for k, (time_us, gyro, accel) in enumerate(rows))
     path.write_bytes(b"ets Jul 29 2019 12:21:46\r\nrst:0x1 (POWERON_RESET)\r\n" + b"".join(lines))
 
 
 def _phone(path: Path) -> None:
-    """Make the zip that phyphox exports of six faces and three turns, as a phone reads them: with a unit, not yet calibrated."""
-    device, rng = _device()
-    true = true_calibration(device, temp_c=25.0)
-    record = undrift.simulate_session("ferraris", device, rng=rng, labelled=False).records[0]
-    with zipfile.ZipFile(path, "w") as values:
-        for name, head, unit, raw, of in (
-            ("Gyroscope", "Gyroscope", "rad/s", record.gyro, true.gyro),
-            ("Accelerometer", "Acceleration", "m/s^2", record.accel, true.accel),
+    """Make the zip that phyphox exports of six faces and three turns."""
+    record = _uncalibrated(_recording("ferraris"))
+    with zipfile.ZipFile(path, "w") as files:
+        for name, head, unit, values in (
+            ("Gyroscope", "Gyroscope", "rad/s", record.gyro),
+            ("Accelerometer", "Acceleration", "m/s^2", record.accel),
         ):
-            table = np.column_stack((record.time, np.asarray(raw) * np.trace(of.matrix) / 3.0))
             names = ['"Time (s)"', *(f'"{head} {axis} ({unit})"' for axis in "xyz")]
-            rows = (",".join(f"{x:.9E}" for x in row) for row in table.tolist())
-            values.writestr(f"{name}.csv", "\n".join((",".join(names), *rows, "")))
+            rows = (",".join(f"{x:.9E}" for x in row) for row in np.column_stack((record.time, values)).tolist())
+            files.writestr(f"{name}.csv", "\n".join((",".join(names), *rows, "")))
 
 
-def _walk(path: Path) -> None:
+def _sit_to_stand() -> undrift.SimulatedTrial:
     device, rng = _device()
-    undrift.write_record(undrift.simulate_trial("sit_to_stand", device, rng=rng).record, path)
+    return undrift.simulate_trial("sit_to_stand", device, rng=rng)
 
 
 def _straight(path: Path) -> None:
+    """Make a walk along a straight line, in the device's own codes."""
     device, rng = _device()
     true, record = true_calibration(device, temp_c=25.0), walk(rng)
     raw = {}
-    for name, quantity, of in (("gyro", "rate", true.gyro), ("accel", "accel", true.accel)):
-        values = getattr(record, name) / si_factor(of.unit_out, quantity)
-        raw |= {name: values @ of.forward_matrix.T + of.offset, f"{name}_unit": of.unit_in}
+    for name, quantity, model in (("gyro", "rate", true.gyro), ("accel", "accel", true.accel)):
+        values = getattr(record, name) / si_factor(model.unit_out, quantity)
+        raw |= {name: values @ model.forward_matrix.T + model.offset, f"{name}_unit": model.unit_in}
     undrift.write_record(replace(record, temp_c=np.full(len(record), 25.0), device=device.serial, **raw), path)
 
 
 def _turned(path: Path) -> None:
     device, rng = _device()
     motion = draw_task("free", rng=rng).at(np.arange(3600) / 50.0, STANDARD_GRAVITY)
-    true, record = true_calibration(device, temp_c=25.0), simulate_device(device, motion, rng=rng).record
-    gyro, accel = (
-        np.asarray(raw) * np.trace(of.matrix) / 3.0
-        for raw, of in ((record.gyro, true.gyro), (record.accel, true.accel))
-    )
-    undrift.write_record(replace(record, gyro=gyro, accel=accel, gyro_unit="rad/s", accel_unit="m/s2"), path)
+    undrift.write_record(_uncalibrated(undrift.simulate_device(device, motion, rng=rng).record), path)
 
 
-def _worn(path: Path) -> None:
-    """Make one of two recordings of a motion, on a clock of its own."""
-    record, _ = make_recording(np.random.default_rng(3), Device(noise=2e-3), turn_s=20.0)
-    late_s = 3.0 * (path.name == "thigh.csv")
-    undrift.write_record(replace(record, time=record.time + late_s), path)
-
-
-def _optics(path: Path) -> None:
+def _bench() -> undrift.Session:
     device, rng = _device()
-    write_reference(undrift.simulate_trial("sit_to_stand", device, rng=rng).reference, path)
-
-
-def _calibration(path: Path) -> None:
-    device, rng = _device()
-    undrift.write_calibration(undrift.calibrate(undrift.simulate_session("bench", device, rng=rng)), path)
-
-
-def _session(path: Path) -> None:
-    device, rng = _device()
-    undrift.write_session(undrift.simulate_session("bench", device, rng=rng), path)
+    return undrift.simulate_session("bench", device, rng=rng)
 
 
 def _thermal(path: Path) -> None:
@@ -275,23 +254,13 @@ def _days(path: Path) -> None:
 
 
 def _rest(path: Path) -> None:
+    """Make a corrected recording of nearly five minutes at rest."""
     device, rng = _device()
     calibration = undrift.calibrate(undrift.simulate_session("bench", device, rng=rng))
     settings = BenchSettings(first_still_s=300.0)
-    values = undrift.simulate_session("multi_position", device, rng=rng, settings=settings).records[0]
-    rest = slice(0, int(290.0 * values.sample_rate_hz))
-    raw = undrift.Record.from_arrays(
-        gyro=values.gyro[rest],
-        accel=values.accel[rest],
-        time=values.time[rest],
-        gyro_unit=values.gyro_unit,
-        accel_unit=values.accel_unit,
-    )
+    record = undrift.simulate_session("multi_position", device, rng=rng, settings=settings).records[0]
+    raw = replace(record.between(record.time[0], record.time[0] + 290.0), device="", temp_c=None)
     undrift.write_record(undrift.correct(raw, calibration), path)
-
-
-def _study(path: Path) -> None:
-    path.write_text(STUDY, encoding="utf-8")
 
 
 STUDY = """[study]
@@ -300,25 +269,21 @@ sessions = ["hand"]
 [[task]]
 name = "step"
 """
-
-FILES: dict[str, Callable[[Path], None]] = {
-    "poses.csv": _bare("multi_position"),
-    "turns.csv": _bare("ferraris"),
+FILES: dict[str, Callable[[Path], object]] = {
+    "poses.csv": lambda path: undrift.write_record(_recording("multi_position"), path),
+    "turns.csv": lambda path: undrift.write_record(_recording("ferraris"), path),
     "logger.csv": _logger,
     "monitor.txt": _monitor,
     "phone.zip": _phone,
-    "walk.csv": _walk,
-    "chair.csv": _walk,
+    "walk.csv": lambda path: undrift.write_record(_sit_to_stand().record, path),
     "straight.csv": _straight,
     "turned.csv": _turned,
-    "pelvis.csv": _worn,
-    "thigh.csv": _worn,
-    "optics.csv": _optics,
+    "optics.csv": lambda path: write_reference(_sit_to_stand().reference, path),
     "warm_up.csv": _warm_up,
     "rest.csv": _rest,
-    "calibration.json": _calibration,
-    "session": _session,
+    "calibration.json": lambda path: undrift.write_calibration(undrift.calibrate(_bench()), path),
+    "session": lambda path: undrift.write_session(_bench(), path),
     "thermal": _thermal,
     "days": _days,
-    "study.toml": _study,
+    "study.toml": lambda path: path.write_text(STUDY, encoding="utf-8"),
 }

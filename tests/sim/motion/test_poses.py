@@ -4,7 +4,6 @@ from hypothesis import given, settings, strategies
 from scipy.interpolate import BSpline
 
 from testkit.data import show
-from testkit.motion_of_poses import motion_from_poses
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate, rotation_vector
 from undrift.record import Reference
@@ -47,6 +46,13 @@ def poses_of(task: Task, rate_hz: float = 120.0) -> Reference:
     return Reference(time=time, q_nb=task.at(time, G).q_nb, position=task.position(time))
 
 
+def motion_at(reference: Reference, rate_hz: float, settings: PoseSettings = PoseSettings()):
+    """Return the motion through poses at a sample rate."""
+    spline = fit_pose_spline(reference, settings)
+    start, stop = spline.span_s
+    return spline.at(start + np.arange(int((stop - start) * rate_hz + 1e-6) + 1) / rate_hz, G)
+
+
 def worst(a, b):
     return float(np.nanmax(np.abs(a - b)))
 
@@ -57,12 +63,7 @@ def angle_between_deg(p, q):
 
 def test_a_body_that_turns_while_it_travels_is_recovered_at_instants_between_the_poses():
     task = tumble()
-    motion = motion_from_poses(
-        poses_of(task),
-        gravity_m_s2=G,
-        sample_rate_hz=286.0,
-        settings=PoseSettings(cutoff_hz=None, position_cutoff_hz=None),
-    )
+    motion = motion_at(poses_of(task), 286.0, PoseSettings(cutoff_hz=None, position_cutoff_hz=None))
     truth = task.at(motion.time, G)
     # A quintic through poses h = 1/120 s apart errs by h^6 x^(6) / 100 in the pose, h^4 in the second derivative.
     show("pose, deg", angle_between_deg(motion.q_nb, truth.q_nb).max(), 1e-6)
@@ -77,7 +78,7 @@ def test_a_body_that_turns_while_it_travels_is_recovered_at_instants_between_the
 
 def test_the_default_low_pass_leaves_a_human_motion_alone():
     task = tumble()
-    motion = motion_from_poses(poses_of(task), gravity_m_s2=G, sample_rate_hz=100.0)
+    motion = motion_at(poses_of(task), 100.0)
     truth = task.at(motion.time, G)
     inner = (motion.time > 1.0) & (motion.time < task.duration_s - 1.0)  # two periods of 10 Hz settle in less
     rate, force = worst(motion.rate_b[inner], truth.rate_b[inner]), worst(motion.force_b[inner], truth.force_b[inner])
@@ -229,21 +230,13 @@ def test_marks_of_motion_are_taken_over():
 
 def test_a_sample_rate_spans_what_is_known_and_instants_are_kept():
     poses = poses_of(tumble(5.0), 100.0)
-    motion = motion_from_poses(poses, gravity_m_s2=G, sample_rate_hz=50.0)
+    motion = motion_at(poses, 50.0)
     assert motion.time[0] == pytest.approx(0.1)
     assert motion.time[-1] == pytest.approx(4.88, abs=0.011)
     assert motion.sample_rate_hz == pytest.approx(50.0)
     time = np.array([0.0, 1.0, 2.5])
-    asked = motion_from_poses(poses, gravity_m_s2=G, time=time)
+    asked = fit_pose_spline(poses).at(time, G)
     assert asked.valid.tolist() == [0.0, 1.0, 1.0]
-
-
-def test_either_a_sample_rate_or_instants_are_wanted():
-    poses = poses_of(tumble(5.0))
-    with pytest.raises(InputError, match="either a sample rate or the instants, got neither"):
-        motion_from_poses(poses, gravity_m_s2=G)
-    with pytest.raises(InputError, match="got both"):
-        motion_from_poses(poses, gravity_m_s2=G, sample_rate_hz=100.0, time=poses.time)
 
 
 def test_poses_with_long_gaps_everywhere_are_refused():
