@@ -282,7 +282,7 @@ for name, change, says in (
     ("turns the device slowly in a soak", in_session(turning_soak), "slow turn"),
 ):
     add("soaks", name, change, says)
-add("stated_soaks", "exchanges two set-points", in_stills(exchanged_set_points), "set-points")
+add("stated_soaks", "exchanges two set-points", in_stills(exchanged_set_points), "set-points in a wrong order")
 add(
     "ramp",
     "records one temperature only",
