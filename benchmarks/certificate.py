@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.erring_bench import chain_that_errs, drawn_slope, even_rise
-from benchmarks.erring_bench.rate_table import ARM_M, RANGE, RATES, USUAL
+from benchmarks.erring_bench.rate_table import ARM, RANGE, RATES, USUAL
 from undrift.arrays import FloatArray
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.expanded import block_of, expand
@@ -38,10 +38,8 @@ def drawn(rng: np.random.Generator) -> tuple[Calibration, dict[str, FloatArray]]
     accel = chain_that_errs(
         device.accel, bits=12, span=RANGE[1], flicker=None, random_walk=None, thermal_scale=drawn_slope(rng)
     )
-    device = replace(device, gyro=replace(gyro, g_sensitivity=None), accel=accel)
-    bench = BenchSettings(
-        sample_rate_hz=50.0, turn_rates=RATES, errors=replace(USUAL, face_tilt=TILT), lever_arm_b=ARM_M
-    )
+    device = replace(device, gyro=replace(gyro, g_sensitivity=None), accel=replace(accel, lever_arm=ARM))
+    bench = BenchSettings(sample_rate_hz=50.0, turn_rates=RATES, errors=replace(USUAL, face_tilt=TILT))
     motion = bench_motion("bench", rng=rng, settings=bench)
     temp_c = even_rise(RISE_C, len(motion))
     simulated = simulate_device(device, motion, rng=rng, temp_c=temp_c)

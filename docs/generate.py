@@ -183,7 +183,7 @@ def keys() -> str:
         (
             "study.toml",
             ("study/plan.py", "Entry"),
-            ("sim/bench_errors.py", "BenchErrors"),
+            ("sim/motion/bench.py", "BenchErrors"),
             ("sim/motion/tasks.py", "Category"),
         ),
     ):

@@ -31,12 +31,11 @@ from undrift.orientation import (
     shortest_rotation_up,
 )
 from undrift.record import Record, Session, Still
-from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.effects import Adc, ThermalScale
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.simulate import draw_streams, simulate_device
 from undrift.sim.device.truth import true_calibration
-from undrift.sim.motion.bench import BenchSettings, bench_motion
+from undrift.sim.motion.bench import BenchErrors, BenchSettings, bench_motion
 from undrift.sim.motion.motion import Script
 from undrift.sim.motion.tasks import Subject, draw_task
 
@@ -108,7 +107,7 @@ RECORDED_S = 1.79e9  # When the later recordings begin, of a clock that counts f
 def _lying(rng):
     script = Script(HZ, rng.standard_normal(3))
     script.still(8.0)
-    return script.motion(G, lever_arm_b=np.zeros(3), earth_rate_n=np.zeros(3)), Still(start=25, stop=375)
+    return script.motion(G), Still(start=25, stop=375)
 
 
 def _standing(rng):

@@ -20,12 +20,11 @@ from undrift.errors import Implausible
 from undrift.model import Verdict
 from undrift.record import Session, Still, Turn
 from undrift.segments import StillSettings
-from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.effects import LowPass, PowerOnTransient
 from undrift.sim.device.presets import FLOOR, random_device
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_calibration
-from undrift.sim.motion.bench import BenchSettings, bench_motion
+from undrift.sim.motion.bench import BenchErrors, BenchSettings, bench_motion
 from undrift.units import RADIAN_PER_DEGREE as DEG
 
 FLICKER = 8.0 * DEG / 3600.0 / FLOOR  # rad/s

@@ -18,17 +18,16 @@ from undrift.arrays import FloatArray
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.settings import CalibrateSettings
 from undrift.record import RateTable, Session, Still, Turn
-from undrift.sim.bench_errors import BenchErrors
-from undrift.sim.device.effects import PowerOnTransient, RandomWalk
+from undrift.sim.device.effects import LeverArm, PowerOnTransient, RandomWalk
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.simulate import simulate_device
-from undrift.sim.motion.bench import BenchSettings, bench_motion
+from undrift.sim.motion.bench import BenchErrors, BenchSettings, bench_motion
 from undrift.units import RADIAN_PER_DEGREE as DEG
 from undrift.units import STANDARD_GRAVITY as G
 
 RATES = tuple(rate * DEG for rate in (20.0, 45.0, 70.0, 90.0))
-ARM_M = (0.02, 0.01, -0.015)
+ARM = LeverArm(arms=np.tile((0.02, 0.01, -0.015), (3, 1)))
 USUAL = BenchErrors(mount_tilt=0.1 * DEG, level=0.1 * DEG, table_rate=1e-4, wobble=0.01 * DEG)
 FLICKER = (8.0 * DEG / 3600.0, 5e-4)  # rad/s, m/s2
 RANGE = (300.0 * DEG, 3.0 * G)  # of 10 bits
@@ -119,8 +118,8 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[DeviceModel, Session, F
     if case.warm_up_dps:
         amplitude = case.warm_up_dps * DEG * rng.choice((-1.0, 1.0), 3)
         gyro = replace(gyro, warm_up=PowerOnTransient(amplitude=amplitude, time_constant_s=60.0))
-    device = replace(device, gyro=gyro, accel=accel)
-    bench = BenchSettings(sample_rate_hz=50.0, turn_rates=RATES, errors=table, lever_arm_b=ARM_M)
+    device = replace(device, gyro=gyro, accel=replace(accel, lever_arm=ARM))
+    bench = BenchSettings(sample_rate_hz=50.0, turn_rates=RATES, errors=table)
     motion = bench_motion("bench", rng=rng, settings=bench)
     simulated = simulate_device(device, motion, rng=rng)
     session = Session(

@@ -16,11 +16,10 @@ from undrift.calibration.settings import CalibrateSettings
 from undrift.calibration.six_face import calibrate_faces
 from undrift.model import Verdict
 from undrift.record import Session
-from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_calibration
-from undrift.sim.motion.bench import BenchSettings, bench_motion
+from undrift.sim.motion.bench import BenchErrors, BenchSettings, bench_motion
 from undrift.units import RADIAN_PER_DEGREE as DEG
 from undrift.units import STANDARD_GRAVITY as G
 

@@ -23,10 +23,9 @@ from undrift.calibration.six_face import calibrate_faces
 from undrift.errors import Implausible, InputError, NotObservable, PoorFit
 from undrift.fit.triad import TriadParameters
 from undrift.record import FACES, Record, Still, Turn
-from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration
-from undrift.sim.motion.bench import BenchSettings
+from undrift.sim.motion.bench import BenchErrors, BenchSettings
 from undrift.sim.sessions import simulate_session
 
 G = 9.81

@@ -16,9 +16,8 @@ from undrift.calibration.session import observe
 from undrift.calibration.settings import CalibrateSettings
 from undrift.errors import Implausible, InputError
 from undrift.record import FACES, Record, Session, Still
-from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.presets import random_device
-from undrift.sim.motion.bench import BenchSettings
+from undrift.sim.motion.bench import BenchErrors, BenchSettings
 from undrift.sim.sessions import simulate_session
 from undrift.units import RADIAN_PER_DEGREE
 

@@ -13,8 +13,7 @@ from undrift.calibration.settings import CalibrateSettings
 from undrift.calibration.table import DwellMeans, mountings, table_axes
 from undrift.errors import InputError
 from undrift.record import RateTable, Record, Still, Turn
-from undrift.sim.bench_errors import BenchErrors
-from undrift.sim.motion.bench import BenchSettings
+from undrift.sim.motion.bench import BenchErrors, BenchSettings
 from undrift.sim.motion.motion import unit_vector
 from undrift.sim.sessions import simulate_session
 

@@ -23,10 +23,9 @@ from undrift.drift.fit import DriftFit, fit_drift
 from undrift.model import Calibration, TriadModel
 from undrift.orientation import orient
 from undrift.record import Record, Reference, Session, Still, Turn
-from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.presets import preset, random_device
 from undrift.sim.device.truth import true_calibration
-from undrift.sim.motion.bench import BenchSettings
+from undrift.sim.motion.bench import BenchErrors, BenchSettings
 from undrift.sim.sessions import simulate_session, simulate_trial
 from undrift.sim.thermal import ChamberSettings, ThermalSettings, simulate_thermal_session
 from undrift.twin.fit import fit_twin

@@ -10,11 +10,10 @@ from undrift.calibration.session import observe
 from undrift.calibration.settings import CalibrateSettings
 from undrift.calibration.six_face import calibrate_faces
 from undrift.record import Session
-from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.effects import ThermalScale
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_calibration
-from undrift.sim.motion.bench import BenchSettings, bench_motion
+from undrift.sim.motion.bench import BenchErrors, BenchSettings, bench_motion
 from undrift.units import RADIAN_PER_DEGREE as DEG
 
 DEVICES = 20

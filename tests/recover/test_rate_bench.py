@@ -18,9 +18,8 @@ from undrift.calibration.calibrate import calibrate
 from undrift.calibration.settings import CalibrateSettings
 from undrift.model import Calibration
 from undrift.record import RateTable, Session
-from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.truth import true_calibration
-from undrift.sim.motion.bench import BenchKind, BenchSettings
+from undrift.sim.motion.bench import BenchErrors, BenchKind, BenchSettings
 from undrift.sim.sessions import simulate_session
 
 DEG = np.pi / 180.0

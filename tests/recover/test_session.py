@@ -8,10 +8,9 @@ from undrift.calibration.calibrate import calibrate
 from undrift.correction.correct import correct
 from undrift.frames import integrate_strapdown, quaternion_conjugate, quaternion_product
 from undrift.orientation import orient
-from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration
-from undrift.sim.motion.bench import BenchKind, BenchSettings
+from undrift.sim.motion.bench import BenchErrors, BenchKind, BenchSettings
 from undrift.sim.motion.tasks import draw_task
 from undrift.sim.sessions import simulate_session, simulate_trial
 from undrift.units import RADIAN_PER_DEGREE

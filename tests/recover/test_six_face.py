@@ -21,10 +21,9 @@ from undrift.calibration.settings import Mode
 from undrift.calibration.six_face import FaceMeans, face_means, fit_six_face
 from undrift.model import TriadModel
 from undrift.record import FACES
-from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import simulate_device
-from undrift.sim.motion.bench import BenchSettings, bench_motion
+from undrift.sim.motion.bench import BenchErrors, BenchSettings, bench_motion
 from undrift.sim.motion.motion import unit_vector
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 

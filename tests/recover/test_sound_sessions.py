@@ -12,10 +12,9 @@ from testkit.data import show
 from testkit.findings import only
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.settings import CalibrateSettings
-from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration
-from undrift.sim.motion.bench import BenchSettings
+from undrift.sim.motion.bench import BenchErrors, BenchSettings
 from undrift.sim.sessions import simulate_session
 from undrift.units import RADIAN_PER_DEGREE as DEG
 

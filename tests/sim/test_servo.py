@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from undrift.errors import InputError
 from undrift.sim.kernels import ServoSettings
 from undrift.sim.servo import Servo
 
@@ -76,9 +75,3 @@ def test_a_torque_beyond_the_supply_is_not_there():
     _, times, angles = moved(weak)
     fastest = np.diff(angles).max() / (times[1] - times[0])
     assert fastest < weak.supply_voltage / weak.torque_constant * 1.01  # where the back voltage is the supply
-
-
-@pytest.mark.parametrize("name", ["inertia", "resistance", "period_s", "encoder_lines"])
-def test_what_is_not_positive_is_refused(name):
-    with pytest.raises(InputError, match=f"servo: `{name}` must be above 0"):
-        Servo(ServoSettings(**{name: 0}))

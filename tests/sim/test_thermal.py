@@ -1,5 +1,7 @@
-"""Thermal sessions hold what the device does at the temperatures of the programme, whatever is recorded of it."""
+"""A chamber has the temperatures of its equations, and sessions contain the readings at these temperatures."""
 
+import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -10,13 +12,59 @@ from undrift.correction.correct import correct
 from undrift.errors import InputError
 from undrift.sim.device.effects import RandomWalk, Sampling, Thermometer
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.device.presets import preset
+from undrift.sim.device.presets import preset, random_device
 from undrift.sim.device.truth import true_calibration, true_tables
 from undrift.sim.motion.bench import BenchSettings
-from undrift.sim.thermal import ChamberSettings, ThermalSettings, simulate_thermal_session
+from undrift.sim.sessions import simulate_session
+from undrift.sim.thermal import (
+    ChamberSettings,
+    ThermalChamber,
+    ThermalSettings,
+    simulate_thermal_session,
+    soak_profile,
+)
+
+SUDDEN = 1e9  # degC/min: the set-point jumps within a step
+
+
+AIR, BOARD, SET_POINT = 0, 2, 3  # columns of a chamber's states
+
+
+def test_the_air_overshoots_a_sudden_step_by_what_its_damping_says() -> None:
+    chamber = ThermalChamber(ChamberSettings(damping=0.5, air_lag_s=600.0), 20.0)
+    chamber.ramp_to(30.0, SUDDEN)
+    chamber.wait(5000.0)
+    overshoot = np.array(chamber.states)[:, AIR].max() - 30.0
+    # exp(-pi z / sqrt(1 - z^2)) of the step; the set-point takes 1 s of a lag of 600 s
+    assert overshoot == pytest.approx(10.0 * math.exp(-math.pi * 0.5 / math.sqrt(0.75)), rel=1e-3)
+
+
+def test_on_a_long_ramp_the_board_lags_by_the_sum_of_the_lags() -> None:
+    chamber = ThermalChamber(ChamberSettings(air_lag_s=60.0, damping=0.7, board_lag_s=200.0), 20.0)
+    chamber.ramp_to(80.0, 1.5)
+    states = np.array(chamber.states)
+    # of the start, 7 K exp(-2400 s / 200 s) is left
+    lag_k = states[-2, SET_POINT] - states[-2, BOARD]
+    assert lag_k == pytest.approx(1.5 / 60.0 * (2 * 0.7 * 60.0 + 200.0), abs=1e-4)
+    assert states[-1, SET_POINT] == 80.0
+
+
+def test_a_soaked_board_changes_by_less_than_the_limit_throughout_the_measurement() -> None:
+    points = (18.0, 25.0, 75.0, 40.0)
+    profile = soak_profile(points, 500.0, ChamberSettings())
+    for set_point_c, soaked_s in zip(points, profile.soaked_s, strict=True):
+        measured = (profile.time >= soaked_s) & (profile.time <= soaked_s + 500.0)
+        assert np.abs(np.diff(profile.board_c[measured])).max() * 60.0 < 0.1
+        # what is left of a lag of 240 s at 0.1 K/min
+        assert np.abs(profile.board_c[measured] - set_point_c).max() < 240.0 * 0.1 / 60.0
+
 
 QUICK = ChamberSettings(ramp_rate_c_per_min=20.0, air_lag_s=5.0, board_lag_s=10.0, soak_hold_s=10.0)
+
+
 BENCH = BenchSettings(sample_rate_hz=50.0, still_s=2.0, move_s=1.0, turn_rates=(0.5, 1.5), dwell_s=1.0)
+
+
 SHORT = ThermalSettings(bench=BENCH, chamber=QUICK, set_points_c=(20.0, 35.0, 50.0))
 
 
@@ -70,21 +118,6 @@ def test_the_hysteresis_of_a_visit_on_the_way_down_is_the_other_one() -> None:
     np.testing.assert_allclose(loop / amplitude, [0.0, -1.0, -1.0, -1.0, 1.0, 1.0], atol=0.1)
 
 
-def test_six_faces_show_gravity_at_each_temperature() -> None:
-    device = settled()
-    six = simulate_thermal_session("soak", device, rng=rng(), settings=replace(SHORT, faces="six"))
-    assert [still.face for still in six.stills[:9]] == ["+x", "-x", "+y", "-y", "+z", "-z", "+x", "+y", "+z"]
-    tables = true_tables(device, np.arange(15.0, 56.0, 1.0), np.array([-1.0, 1.0]))
-    calibration = replace(true_calibration(device), gyro=None, drift=replace(tables, dynamic=None))
-    record = correct(replace(six.records[0], gyro=None), calibration)
-    for still in six.stills:
-        felt = record.accel[still.start + 25 : still.stop].mean(axis=0)  # type: ignore[index]
-        # cross-axis non-linearity, which no matrix holds: 0.2 % of 2 g
-        assert felt["xyz".index((still.face or "")[1])] * (-1.0 if "-" in (still.face or "") else 1.0) == pytest.approx(
-            9.80665, abs=0.04
-        )
-
-
 def test_a_ramp_goes_up_and_down_and_a_warm_up_begins_at_power_on() -> None:
     ramp = replace(SHORT, ramp_c=(20.0, 30.0), ramp_c_per_min=5.0, ramp_hold_s=60.0)
     up_down = simulate_thermal_session("ramp", settled(), rng=rng(), settings=ramp)
@@ -135,10 +168,21 @@ def test_labels_lie_right_on_the_samples_of_a_device_with_a_clock_of_its_own() -
     ("make", "message"),
     [
         (lambda: simulate_thermal_session("fridge", quiet(), rng=rng()), "soak, ramp, warm_up"),  # type: ignore[arg-type]
-        (lambda: ThermalSettings(power_on_s=-1.0), "got -1 s"),
+        (lambda: soak_profile((20.0, 120.0), 1.0, ChamberSettings(board_lag_s=1e4)), "within 14400 s at 120 degC"),
     ],
 )
-def test_what_cannot_be_done_in_a_thermal_session_is_refused(make, message: str) -> None:
-    with pytest.raises(InputError) as raised:
+def test_an_impossible_thermal_session_is_refused(make: Callable[[], object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
         make()
-    assert message in str(raised.value)
+
+
+def test_a_session_without_labels_keeps_its_readings() -> None:
+    device = random_device(np.random.default_rng(1))
+    settings = BenchSettings(still_s=1.0)
+    labelled, bare = (
+        simulate_session("ferraris", device, rng=np.random.default_rng(2), settings=settings, labelled=flag)
+        for flag in (True, False)
+    )
+    assert (len(labelled.stills), len(labelled.turns)) == (12, 3)
+    assert (bare.stills, bare.turns) == ((), ())
+    np.testing.assert_array_equal(labelled.records[0].gyro, bare.records[0].gyro)

@@ -1,15 +1,17 @@
-"""Named sessions: the product's fits of simulated devices, against what is true of them."""
+"""Named sessions and the note's rivals: fits of simulated devices against the truth."""
 
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
+from benchmarks.promised import NAMES, NEW, deliver, promise, study_of
 
 from testkit.data import show
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration
 from undrift.study.case import stream, with_cutoff
+from undrift.study.methods import calibrate_rival
 from undrift.study.plan import DEVICE, NOTE_BENCH, note_study
 from undrift.study.sessions import ROOM_TEMP_C, SESSIONS, WARM_C, calibrate_by, calibrate_by_means, free_motion
 
@@ -73,11 +75,6 @@ def test_free_motion_stays_within_the_range_of_the_device():
     assert 0 < record.gyro.min() < record.gyro.max() < 4095
 
 
-def test_sessions_with_the_same_rates_share_their_part_at_one_temperature():
-    assert SESSIONS["note"].at_one_temperature == SESSIONS["note rates"].at_one_temperature
-    assert SESSIONS["three rates"].at_one_temperature != SESSIONS["three rates, warm"].at_one_temperature
-
-
 def test_a_session_states_its_minutes_instruments_and_commands():
     rows = {name: (session.length_min, session.instruments) for name, session in SESSIONS.items()}
     assert rows["hand"][1] == "none"
@@ -91,3 +88,27 @@ def test_a_session_states_its_minutes_instruments_and_commands():
         "undrift calibrate mine.csv --turn-deg 360 --gravity-m-s2 GRAVITY -o mine.json",
     )
     assert "--from motion" in SESSIONS["motion"].commands("mine")[0]
+
+
+@pytest.mark.parametrize("rival", ["inclined plane", "trolley", "piston", "optics", "robot arm"])
+def test_a_rival_recovers_the_accelerometers(rival):
+    device = with_cutoff(note_study().unit(0), None)
+    found = calibrate_rival(rival, device, DEVICE, partial(stream, 0, rival)).accel
+    true = true_calibration(device, temp_c=ROOM_TEMP_C).accel
+    error = np.abs(found.matrix @ np.linalg.inv(true.matrix) - np.eye(3)).max()
+    show(f"{rival}: largest element of M M_true^-1 - 1", error)
+    assert error < 0.03  # a crank set by a ruler is 1 % off
+
+
+@pytest.fixture(scope="module")
+def promised():
+    return promise(study_of(20))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_run_of_the_rig_delivers_what_the_study_promises(promised, name, tmp_path):
+    delivered = deliver(study_of(20), name, NEW, tmp_path / "run")
+    low, high = promised[name].single_deg
+    show(f"{name}: delivered, promised interval of a single device, deg", (delivered, low, high))
+    assert low <= delivered <= high  # python -m benchmarks.promised counts several new devices

@@ -109,4 +109,4 @@ def _on_a_table(rng: np.random.Generator, settings: DailyUseSettings) -> Motion:
     axis = rng.standard_normal(3)
     script.turn_to(turn_quaternion(axis / np.linalg.norm(axis), np.array([rng.uniform(0.5, 1.5)]))[0], 3.0)
     script.still(0.5 * settings.rest_s)
-    return script.motion(STANDARD_GRAVITY, lever_arm_b=np.zeros(3), earth_rate_n=np.zeros(3))
+    return script.motion(STANDARD_GRAVITY)

@@ -6,12 +6,11 @@ import numpy as np
 
 from undrift.model import Calibration
 from undrift.record import Session
-from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.effects import Thermometer
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import grade_of, random_device
 from undrift.sim.device.truth import nominal_calibration
-from undrift.sim.motion.bench import BenchSettings
+from undrift.sim.motion.bench import BenchErrors, BenchSettings
 from undrift.sim.motion.poses import OpticsSettings
 from undrift.sim.sessions import SimulatedTrial, simulate_session, simulate_trial
 from undrift.units import RADIAN_PER_DEGREE

@@ -1,11 +1,19 @@
-"""Agreement statistics: published example, closed forms, refusals."""
+"""Agreement statistics against a published example and closed forms, and several recordings judged together."""
 
 import numpy as np
 import pytest
 
 from testkit.data import show
+from testkit.hand_turns import Device, make_recording
 from undrift.errors import InputError
-from undrift.validation.agreement import bland_altman, decide_between, intraclass_correlation
+from undrift.validation.agreement import (
+    bland_altman,
+    decide_between,
+    intraclass_correlation,
+    validate_leave_one_out,
+    validate_trials,
+)
+from undrift.validation.trial import TrialSettings
 
 # P. E. Shrout, J. L. Fleiss, 1979, table 2: six targets, four judges; table 4 prints the coefficients.
 JUDGES = np.array([[9, 2, 5, 8], [6, 1, 3, 2], [8, 4, 6, 8], [7, 1, 2, 6], [10, 5, 6, 9], [6, 2, 4, 7]], dtype=float)
@@ -16,11 +24,7 @@ def test_the_published_example_gives_the_published_coefficient():
     show("ICC(2,1)", round(found.value, 3), 0.29)
     assert found.value == pytest.approx(0.29, abs=0.005)  # printed to two digits
     assert found.interval == pytest.approx((0.02, 0.76), abs=0.006)  # as statistics packages print it, two digits
-
-
-def test_the_error_of_measurement_follows_from_the_mean_squares():
-    found = intraclass_correlation(JUDGES)  # the paper's mean squares: targets 11.24, judges 32.49, residual 1.02
-    sem = np.sqrt((32.49 - 1.02) / 6 + 1.02)
+    sem = np.sqrt((32.49 - 1.02) / 6 + 1.02)  # the paper's mean squares: targets 11.24, judges 32.49, residual 1.02
     assert found.minimal_detectable_change == pytest.approx(1.96 * np.sqrt(2.0) * sem, abs=0.01)
 
 
@@ -33,12 +37,6 @@ def test_the_interval_covers_the_true_coefficient():
         inside += low <= truth <= high
     show("coverage of the interval of ICC(2,1)", inside / 600, 0.95)
     assert 0.925 < inside / 600 < 0.975  # 600 draws: one deviation is 0.9 %; its F is approximate
-
-
-def test_methods_that_agree_exactly_give_one():
-    table = np.array([[1.0, 1.0], [2.0, 2.0], [5.0, 5.0]])
-    assert intraclass_correlation(table).value == 1.0
-    assert intraclass_correlation(table).interval == (1.0, 1.0)
 
 
 def test_a_wrong_verdict_is_as_rare_as_the_level_says():
@@ -56,11 +54,6 @@ def test_a_wrong_verdict_is_as_rare_as_the_level_says():
     assert (better.verdict, round(better.difference)) == ("better", 1)
 
 
-def test_a_verdict_needs_three_people():
-    with pytest.raises(InputError, match="3 people"):
-        decide_between(np.zeros(2), np.ones(2), margin=0.1)
-
-
 def test_limits_of_agreement_follow_the_closed_form():
     first = np.array([1.0, 2.0, 3.0, 4.0, 5.0])
     second = first - np.array([0.5, 0.1, -0.3, 0.2, 0.0])
@@ -76,5 +69,38 @@ def test_tables_that_cannot_be_are_refused():
         bland_altman(np.ones(2), np.ones(2))
     with pytest.raises(InputError, match="without gaps"):
         intraclass_correlation(np.array([[1.0, np.nan], [1.0, 2.0], [3.0, 1.0]]))
-    with pytest.raises(InputError, match=r"got shape \(0, 2\)"):
-        bland_altman(np.ones(4), np.ones(3))
+    with pytest.raises(InputError, match="3 people"):
+        decide_between(np.zeros(2), np.ones(2), margin=0.1)
+
+
+pytestmark = pytest.mark.usefixtures("computed_once")
+
+
+FORWARD = np.array([[1.012, 0.006, -0.004], [-0.005, 0.991, 0.007], [0.003, -0.006, 1.004]])
+
+
+DEVICE = Device(forward=FORWARD, offset=np.array([0.004, -0.003, 0.002]), lag_s=0.004, noise=1e-3)
+
+
+@pytest.fixture(scope="module")
+def pairs():
+    return [make_recording(np.random.default_rng(seed), DEVICE, turn_s=40.0, optics_noise=5e-4) for seed in (1, 2, 3)]
+
+
+@pytest.mark.slow
+def test_leave_one_out_beats_the_rest_offset(pairs):
+    rest = validate_trials(pairs, settings=TrialSettings(offset="rest"))
+    held = validate_leave_one_out(pairs, names=("a", "b", "c"))
+    assert len(held.held_out) == 3
+    assert held.trials[1].recording == "b"
+    assert held.mean.end_total_deg < 0.25 * rest.mean.end_total_deg
+    assert held.mean.end_total_deg < 0.3
+
+
+def test_calls_that_cannot_be_are_refused(pairs):
+    with pytest.raises(InputError, match="got 3 recordings, 2 calibrations, 0 names"):
+        validate_trials(pairs, calibrations=(None, None))
+    with pytest.raises(InputError, match="two recordings of a device or more"):
+        validate_leave_one_out(pairs[:1])
+    with pytest.raises(InputError, match="recording 2 has the same readings as recording 1"):
+        validate_leave_one_out([pairs[0], pairs[0]])

@@ -8,6 +8,7 @@ import pytest
 from testkit.data import show
 from testkit.hand_turns import Device, make_recording
 from undrift.errors import InputError
+from undrift.frames import quaternion_of, quaternion_product, rotation_vector
 from undrift.model import BodyMounting
 from undrift.record import Reference
 from undrift.sim.device.effects import Offset, Scale, Thermometer, WhiteNoise
@@ -25,11 +26,17 @@ from undrift.validation.levels import (
     calibrate_by_others,
     judge_levels,
 )
+from undrift.validation.trial import TrialSettings, validate_trial
 
 pytestmark = pytest.mark.usefixtures("computed_once")
 
+
 NODES_C, RATES = np.linspace(10.0, 50.0, 9), np.radians(np.linspace(-300.0, 300.0, 61))
+
+
 WARM_K = 12.5
+
+
 # In physical units, so that readings can be judged as they come; its offset moves by 0.4 deg/s in the 12.5 K of a wearer
 DEVICE = DeviceModel(
     serial="A",
@@ -43,9 +50,15 @@ DEVICE = DeviceModel(
         unit="m/s2", scale=Scale(nominal_sensitivity=1.0), white_noise=WhiteNoise(random_walk=np.full(3, 2e-3))
     ),
 )
+
+
 FULL = replace(true_calibration(DEVICE), drift=true_tables(DEVICE, NODES_C, RATES))
+
+
 # a thermometer that errs would shift the tables, which are the truth
 NOTE_DEVICE = replace(actual_device(preset("enc03j_3031"), ("g_sensitivity",)), thermometer=Thermometer())
+
+
 NOTE_FULL = replace(true_calibration(NOTE_DEVICE), drift=true_tables(NOTE_DEVICE, NODES_C, RATES))
 
 
@@ -87,31 +100,23 @@ def test_each_level_leaves_less_than_readings_as_they_come(six):
     rest = summary_of(six, "rest")
     assert (rest.people, rest.trials, rest.previous) == (3, 6, "all tables")
     assert summary_of(six, "static table").decision.verdict == "better"
-    assert summary_of(six, "uncalibrated").decision is None
+    assert list(dict.fromkeys(row.group for row in six.summaries)) == ["all", "sit_to_stand", "step"]
+    tasks = [summary_of(six, "rest", group=task).mean_deg for task in ("sit_to_stand", "step")]
+    assert np.mean(tasks) == pytest.approx(rest.mean_deg)
 
 
 def test_agreement_counts_people_not_trials(six):
-    """Six trials of three people: no agreement, however many trials there are."""
-    few = [replace(one, recording=f"{one.recording} {k}") for k in range(4) for one in six.trials[:3]]
-    table = judge_levels(few)
-    assert all(row.agreement is None and row.icc is None for row in (*six.summaries, *table.summaries))
-    assert summary_of(table, "rest").trials == 12
+    """Twelve trials of three people have no agreement."""
+    table = judge_levels([replace(one, recording=f"{one.recording} {k}") for k in range(4) for one in six.trials[:3]])
+    assert all(row.agreement is None and row.icc is None for row in table.summaries)
 
 
 @pytest.mark.slow
 def test_ten_people_have_agreement_and_an_icc_within_a_task():
-    table = judge_levels([trial(person) for person in range(10)])
-    best = summary_of(table, "all tables, rest")
+    best = summary_of(judge_levels([trial(person) for person in range(10)]), "all tables, rest")
     assert best.agreement.count == 10
     assert abs(best.agreement.bias) < 0.1
     assert best.icc.value > 0.999
-
-
-def test_tasks_are_groups_whose_trials_add_up_to_all(six):
-    assert list(dict.fromkeys(row.group for row in six.summaries)) == ["all", "sit_to_stand", "step"]
-    tasks = [summary_of(six, "rest", group=task) for task in ("sit_to_stand", "step")]
-    assert [row.trials for row in tasks] == [3, 3]
-    assert np.mean([row.mean_deg for row in tasks]) == pytest.approx(summary_of(six, "rest").mean_deg)
 
 
 def test_a_level_without_its_tables_says_why():
@@ -122,12 +127,6 @@ def test_a_level_without_its_tables_says_why():
     constants = judge_levels([trial(7, calibration=replace(FULL, drift=None))])
     assert "no static table" in errors_of(constants, "static table").missing
     assert np.isfinite(errors_of(constants, "constants").error_deg).all()
-
-
-def test_trials_too_short_for_an_offset_from_motion_are_named():
-    row = errors_of(judge_levels([trial(0)]), "motion")
-    assert np.isnan(row.error_deg).all()
-    assert "20 s" in row.missing
 
 
 def test_a_wrong_unit_is_refused():
@@ -175,19 +174,11 @@ def test_a_device_without_a_calibration_is_fitted_to_its_other_recordings():
     assert calibrate_by_others(trials[:1])[0].calibration is None
 
 
-# ---- the simulated device in the same motion
-
-
 @pytest.mark.slow
 def test_the_simulated_device_predicts_the_error_of_each_level():
     table = judge_levels([trial(person, calibration=NOTE_FULL, device=NOTE_DEVICE) for person in range(3)])
     for name in ("constants", "static table"):  # parameters are the truth: noise and codes are left
-        row = errors_of(table, name)
-        show(
-            f"{name}: actual, simulated, largest difference, deg",
-            (row.error_deg, row.simulated_deg, row.difference_deg),
-        )
-        assert (row.difference_deg < NOTE_DIFFERENCE_DEG).all(), name
+        assert (errors_of(table, name).difference_deg < NOTE_DIFFERENCE_DEG).all(), name
     assert errors_of(table, "constants").error_deg.min() > 1.0
     assert np.isnan(errors_of(table, "all tables").simulated_deg).all()  # the calibration predicts no error of its own
 
@@ -199,3 +190,35 @@ def test_an_offset_that_the_calibration_does_not_know_is_a_difference():
     assert known.difference_deg[0] < NOTE_DIFFERENCE_DEG
     assert unknown.simulated_deg[0] == pytest.approx(known.simulated_deg[0], rel=0.2)
     assert unknown.difference_deg[0] > 3.0 * NOTE_DIFFERENCE_DEG
+
+
+PLAIN = replace(FULL, drift=None)
+
+
+def judged(turned_deg, **settings):
+    record, reference = worn(1)
+    body = quaternion_of(np.radians(turned_deg))
+    turned = replace(reference, q_nb=quaternion_product(reference.q_nb, body))
+    return validate_trial(
+        record, turned, calibration=PLAIN, settings=TrialSettings(**{"offset": "rest"} | settings)
+    ), body
+
+
+@pytest.mark.parametrize("turned_deg", [(20.0, -30.0, 100.0), (0.0, 0.0, 175.0)])
+def test_a_sit_to_stand_shows_how_the_device_sits_on_a_cluster_of_any_axes(turned_deg):
+    trial, body = judged(turned_deg, align="level")
+    expected = np.linalg.norm(rotation_vector(body))
+    show(f"turned by {turned_deg}: angle found, deg", np.degrees(trial.mounting.angle), np.degrees(expected))
+    show("error left, deg", trial.figures.rmse_total_deg, 0.2)
+    assert trial.mounting.applied
+    assert trial.mounting.angle == pytest.approx(expected, abs=np.radians(0.3))
+    assert trial.figures.rmse_total_deg < 0.2
+
+
+@pytest.mark.slow
+def test_the_filter_holds_the_inclination_where_the_offset_is_left_in_and_states_no_error_to_expect():
+    raw, filtered = (judged((0.0, 0.0, 0.0), method=method, offset="none")[0] for method in ("strapdown", "vqf"))
+    angles = [one.figures.rmse_inclination_deg for one in (raw, filtered)]
+    show("inclination by gyroscopes and by the filter, deg", np.round(angles, 3))
+    assert filtered.expected is None
+    assert angles[1] < 0.5 * angles[0]

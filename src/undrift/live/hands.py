@@ -29,9 +29,9 @@ from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_produ
 from undrift.live.decoder import COUNTER, MEASURED, Chunk, StreamDescription
 from undrift.live.transports import Address, number_of
 from undrift.record import FACES, Axis, Face
-from undrift.sim.device.causal import Seen, SimulatedDevice
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device
+from undrift.sim.device.simulate import Seen, SimulatedDevice
 from undrift.sim.motion.motion import facing, turn_quaternion, unit_vector
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 

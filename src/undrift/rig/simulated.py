@@ -35,9 +35,9 @@ from undrift.rig.rig import (
     ServoReport,
     steady_angle,
 )
-from undrift.sim.device.causal import Seen, SimulatedDevice, Surroundings
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device
+from undrift.sim.device.simulate import Seen, SimulatedDevice, Surroundings
 from undrift.sim.kernels import ServoSettings
 from undrift.sim.motion.motion import unit_vector
 from undrift.sim.servo import Servo

@@ -7,10 +7,10 @@ effect.
 ``device``      Forward equations from motion to reading, effect by effect, and kinds of devices by name.
 ``motion``      Bench sessions and daily tasks in closed form, without numerical differentiation, and their camera data.
 ``sessions``    Devices in motion: calibration sessions and trials. ``thermal`` does the same over temperature, for hours.
-``table_sessions``, ``bench_errors``   Sessions dwell by dwell on a bench with errors, for studies of thousands of sessions.
+``table_sessions``   Sessions dwell by dwell on a bench with errors, for studies of thousands of sessions.
 ``servo``       Motor and control loop of a rate table.
 
-A device that is read in real time (``device.causal``) is part of the simulated bench of `rig` and of the hand-held device of
+A device that is read in real time (``SimulatedDevice``) is part of the simulated bench of `rig` and of the hand-held device of
 `live`.
 
 Rates are in rad/s, forces in m/s2 and temperatures in degC. Frame b is the case, and n is level with z up. Quaternions turn b to n

@@ -18,6 +18,7 @@ settled at the start of a dwell, and does not change the mean. A level beyond th
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import Any, Literal, NamedTuple
@@ -28,9 +29,9 @@ from undrift.arrays import FloatArray, IntArray
 from undrift.errors import InputError
 from undrift.programme import Dwell, Protocol, programme_of
 from undrift.record import FACES
-from undrift.sim.bench_errors import BenchDraws, BenchErrors
 from undrift.sim.device.effects import RATIO, Past, Scene, SensorChain, effects_of
 from undrift.sim.device.model import DeviceModel
+from undrift.sim.motion.bench import BenchErrors
 from undrift.sim.motion.motion import unit_vector
 from undrift.units import STANDARD_GRAVITY
 
@@ -79,6 +80,34 @@ def lay_out(protocol: Protocol) -> TableSession:
         rate=np.array([dwell.turn_rate for dwell in dwells]),
         start_s=np.array(starts),
         duration_s=np.array([dwell.dwell_s for dwell in dwells]),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BenchDraws:
+    """Random numbers of a bench, the same for all its sessions, with U kinds of dwells."""
+
+    mount: FloatArray  # (3, 3), normal, with a row per axis that is up
+    level: FloatArray  # (2,), normal
+    clock: float  # normal
+    face: FloatArray  # (6, 3), normal
+    wobble: FloatArray  # (U, 3), normal
+    servo: FloatArray  # (U,), normal
+    start: FloatArray  # (U, 2), from 0 to 1: phase of the encoder, azimuth
+
+
+def draw_bench(rng: np.random.Generator, turns: Sequence[np.random.Generator]) -> BenchDraws:
+    """Draw a bench. Each rate has its own generator, so that its draws do not depend on the other rates."""
+    draws = [(generator.standard_normal((6, 4)), generator.uniform(size=(6, 2))) for generator in turns]
+    normals, start = (np.concatenate(arrays) for arrays in zip(*draws, strict=True))
+    return BenchDraws(  # in the order of the draws
+        mount=rng.standard_normal((3, 3)),
+        level=rng.standard_normal(2),
+        clock=float(rng.standard_normal(1)[0]),
+        face=rng.standard_normal((6, 3)),
+        wobble=normals[:, :3],
+        servo=normals[:, 3],
+        start=start,
     )
 
 

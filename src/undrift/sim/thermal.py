@@ -33,7 +33,7 @@ from undrift.record import FACES, Face, Record, Session, joined
 from undrift.sim.device.effects import Past, Scene, Thermometer
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import Simulated, Streams, draw_streams, simulate_device
-from undrift.sim.motion.bench import BenchSettings, rest_on_faces, script_motion, steady_rates
+from undrift.sim.motion.bench import BenchSettings, rest_on_faces, steady_rates
 from undrift.sim.motion.motion import Motion, Script, after_rest, unit_vector
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -206,7 +206,7 @@ def _programme(kind: ThermalKind, settings: ThermalSettings, streams: Streams) -
         profile = ramp_profile(settings) if kind == "ramp" else warm_up_profile(settings)
         script = Script(rate_hz, up)
         script.still(float(profile.time[-1]), "+z")
-        return profile, [script_motion(script, bench)]
+        return profile, [script.motion(bench.gravity_m_s2)]
     draw = streams.of("tilt")
     faces: tuple[Face, ...] = FACES if settings.faces == "six" else ("+z",)
 
@@ -226,7 +226,7 @@ def _programme(kind: ThermalKind, settings: ThermalSettings, streams: Streams) -
         script = Script(rate_hz, up)
         script.q = q
         write(script)
-        q, motion = script.q, script_motion(script, bench)
+        q, motion = script.q, script.motion(bench.gravity_m_s2)
         legs.append(replace(motion, time=motion.time + round(soaked_s * rate_hz) / rate_hz))
     return profile, legs
 

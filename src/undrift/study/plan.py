@@ -20,9 +20,9 @@ from annotated_types import Ge, Gt, MinLen
 from undrift.base.codec import read, stored, tree_of
 from undrift.errors import FileFormatError, InputError
 from undrift.programme import Protocol, rate_grid, read_protocol
-from undrift.sim.bench_errors import BenchErrors
 from undrift.sim.device.model import DeviceModel, device_from_json, device_json, read_device
 from undrift.sim.device.presets import PRESETS, grade_of, preset, random_device, without_assumed
+from undrift.sim.motion.bench import BenchErrors
 from undrift.sim.motion.tasks import CATEGORIES, DEFAULT, Category, Group, Kind, TaskName, category_tree
 from undrift.study.case import OffsetRule, stream
 from undrift.study.recorded import MotionEntry, RecordedPeople, recorded_people

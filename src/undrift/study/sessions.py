@@ -28,16 +28,16 @@ from undrift.drift.offset import StaticSettings
 from undrift.model import Calibration, Sensor, TriadModel
 from undrift.programme import Protocol, programme_of, rate_grid
 from undrift.record import FACES, Record
-from undrift.sim.bench_errors import BenchErrors, draw_bench
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import simulate_device
-from undrift.sim.motion.bench import BenchKind, BenchSettings, bench_motion
+from undrift.sim.motion.bench import BenchErrors, BenchKind, BenchSettings, bench_motion
 from undrift.sim.motion.tasks import Task, draw_task, with_six_rests
 from undrift.sim.sessions import simulate_session
 from undrift.sim.table_sessions import (
     FACE,
     RATE,
     REST,
+    draw_bench,
     impose_faces,
     impose_turns,
     lay_out,

@@ -9,7 +9,7 @@ Every parameter has a standard error, or a reason why these recordings do not id
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -146,12 +146,7 @@ def fit_prepared(prepared: Prepared, *, chosen: Sequence[int] | None = None) -> 
         adc=prepared.adc,
         gyro_noise=noise["gyro"],
         accel_noise=noise["accel"],
-        parameters=(
-            *_gyro_rows(gyro),
-            *_accel_rows(gyro, accel, prepared.accel_refused),
-            *_noise_rows("gyro_angle_random_walk", "rad/s/sqrt(Hz)", noise["gyro"]),
-            *_noise_rows("accel_velocity_random_walk", "m/s2/sqrt(Hz)", noise["accel"]),
-        ),
+        parameters=tuple(_parameters(gyro, accel, noise, prepared.accel_refused)),
         prepared=prepared,
     )
 
@@ -194,49 +189,47 @@ def mean_with_error(values: FloatArray, errors: FloatArray) -> tuple[float, floa
     return float(values.mean()), max(claimed, scatter)
 
 
-def _rows(name: str, unit: str, values: FloatArray, errors: FloatArray) -> list[TwinParameter]:
-    """Return the parameters of three axes, or of a matrix row by row."""
-    labels = AXES if len(values) == 3 else [entry[-2:] for entry in MATRIX_NAMES]
-    return [
-        TwinParameter(name=f"{name}_{label}", unit=unit, value=value, standard_error=error)
-        for label, value, error in zip(labels, values.tolist(), errors.tolist(), strict=True)
-    ]
-
-
-def _triad_rows(name: str, unit: str, model: TriadModel, errors: FloatArray) -> list[TwinParameter]:
-    matrix = _rows(f"{name}_matrix", "1", model.matrix.ravel(), errors[:9])
-    return matrix + _rows(f"{name}_offset", unit, model.offset, errors[9:12])
-
-
-def _gyro_rows(fit: ReferenceFit) -> list[TwinParameter]:
-    model = fit.triad.model
-    errors = np.sqrt(np.maximum(np.diag(model.covariance), 0.0))
-    delay, delay_error = mean_with_error(fit.lags_s, fit.lag_uncertainties_s)
-    rows = [TwinParameter(name="gyro_delay", unit="s", value=delay, standard_error=delay_error)]
-    rows += _triad_rows("gyro", "rad/s", model, errors)
-    if np.isfinite(fit.rest_offsets).all(axis=1).any():
-        return rows + _rows("gyro_motion_offset", "rad/s", fit.motion_offset, errors[9:12])
-    reason = "No recording rests: the offset is that in motion"
-    return [*rows, TwinParameter(name="gyro_motion_offset", unit="rad/s", reason=reason)]
-
-
-def _accel_rows(gyro: ReferenceFit, fit: AccelFit | None, refused: str) -> list[TwinParameter]:
-    if fit is None:
-        return [
-            TwinParameter(name=name, unit=unit, reason=refused)
-            for name, unit in (("accel_matrix", "1"), ("lever_arm", "m"))
-        ]
-    errors = np.sqrt(np.diag(fit.covariance))
+def _parameters(
+    gyro: ReferenceFit, accel: AccelFit | None, noise: Mapping[str, RestNoise | None], accel_refused: str
+) -> Iterator[TwinParameter]:
+    """Yield the table of parameters."""
     delay, delay_error = mean_with_error(gyro.lags_s, gyro.lag_uncertainties_s)
-    error = math.hypot(errors[15], delay_error)
-    rows = [TwinParameter(name="accel_delay", unit="s", value=delay + fit.delay, standard_error=error)]
-    return (
-        rows + _triad_rows("accel", "m/s2", fit.model, errors) + _rows("lever_arm", "m", fit.lever_arm, errors[12:15])
-    )
+    errors = np.sqrt(np.maximum(np.diag(gyro.triad.model.covariance), 0.0))
+    yield TwinParameter(name="gyro_delay", unit="s", value=delay, standard_error=delay_error)
+    yield from _triad("gyro", "rad/s", gyro.triad.model, errors)
+    if np.isfinite(gyro.rest_offsets).all(axis=1).any():
+        yield from _axes("gyro_motion_offset", "rad/s", gyro.motion_offset, errors[9:12])
+    else:
+        reason = "No recording rests: the offset is that in motion"
+        yield TwinParameter(name="gyro_motion_offset", unit="rad/s", reason=reason)
+    if accel is None:
+        yield TwinParameter(name="accel_matrix", unit="1", reason=accel_refused)
+        yield TwinParameter(name="lever_arm", unit="m", reason=accel_refused)
+    else:
+        errors = np.sqrt(np.diag(accel.covariance))
+        error = math.hypot(errors[15], delay_error)
+        yield TwinParameter(name="accel_delay", unit="s", value=delay + accel.delay, standard_error=error)
+        yield from _triad("accel", "m/s2", accel.model, errors)
+        yield from _axes("lever_arm", "m", accel.lever_arm, errors[12:15])
+    for triad, name, unit in (
+        ("gyro", "gyro_angle_random_walk", "rad/s/sqrt(Hz)"),
+        ("accel", "accel_velocity_random_walk", "m/s2/sqrt(Hz)"),
+    ):
+        scatter = noise[triad]
+        if scatter is None:
+            reason = f"no {MIN_REST_S:g} s of rest without gaps in which every reading changes"
+            yield TwinParameter(name=name, unit=unit, reason=reason)
+        else:
+            yield from _axes(name, unit, scatter.random_walk, scatter.random_walk_error)
 
 
-def _noise_rows(name: str, unit: str, noise: RestNoise | None) -> list[TwinParameter]:
-    if noise is None:
-        reason = f"no {MIN_REST_S:g} s of rest without gaps in which every reading changes"
-        return [TwinParameter(name=name, unit=unit, reason=reason)]
-    return _rows(name, unit, noise.random_walk, noise.random_walk_error)
+def _triad(name: str, unit: str, model: TriadModel, errors: FloatArray) -> Iterator[TwinParameter]:
+    yield from _axes(f"{name}_matrix", "1", model.matrix.ravel(), errors[:9])
+    yield from _axes(f"{name}_offset", unit, model.offset, errors[9:12])
+
+
+def _axes(name: str, unit: str, values: FloatArray, errors: FloatArray) -> Iterator[TwinParameter]:
+    """Yield the parameters of three axes, or of a matrix row by row."""
+    labels = AXES if len(values) == 3 else [entry[-2:] for entry in MATRIX_NAMES]
+    for label, value, error in zip(labels, values.tolist(), errors.tolist(), strict=True):
+        yield TwinParameter(name=f"{name}_{label}", unit=unit, value=value, standard_error=error)

@@ -1,11 +1,10 @@
 """Validation of a calibration on real motion: orientation errors in degrees against an orientation reference.
 
     trial              one recording against its reference: lag, strapdown from rest, errors
-    align              mounting of the device on the body of the reference
+    align              rotation between device and reference, and check that both use the same conventions
     levels             levels of correction over trials, people and tasks
     agreement          several recordings: means, leave-one-out, agreement of methods and differences against a margin
     expected           errors expected from a calibration's uncertainty
-    reference_frames   check that device and reference use the same quaternions, verticals and signs
     table_worth        expected angle error with and without tables over temperature
 
 Input: a ``Record`` and a ``Reference``, each on its own clock, and optionally a Calibration. Internally, rates are in rad/s, angles

@@ -127,6 +127,7 @@ def mean_interval(values: FloatArray) -> tuple[float, Interval]:
 # ---- a difference against a margin
 
 MIN_PEOPLE = 3  # of a verdict
+LEVEL = 0.05  # of all differences that are tested together
 MIN_PEOPLE_FOR_AGREEMENT = 10  # with fewer, a limit of agreement is less certain than the limits are wide
 Verdict95 = Literal["better", "equivalent", "worse", "not decidable"]
 
@@ -140,33 +141,26 @@ class PairedDifference:
     verdict: Verdict95  # by a margin, at 5 % over all tests
 
 
-def three_sided(difference: float, uncertainty: float, dof: int, *, margin: float) -> tuple[float, float, float]:
-    """Return the p values of better, equivalent and worse for a difference and its standard uncertainty."""
-    from scipy.special import stdtr
-
-    if uncertainty == 0.0:
-        return float(difference <= margin), float(abs(difference) >= margin), float(difference >= -margin)
-    above, below = ((sign * difference - margin) / uncertainty for sign in (1.0, -1.0))
-    # better and worse are the two tails of one test, so each is doubled
-    better, worse = (min(2.0 * float(stdtr(dof, -t)), 1.0) for t in (above, below))
-    return better, float(max(stdtr(dof, above), stdtr(dof, below))), worse
-
-
-def decide_between(
-    errors: FloatArray, others: FloatArray, *, margin: float, level: float = 0.05, tests: int = 1
-) -> PairedDifference:
+def decide_between(errors: FloatArray, others: FloatArray, *, margin: float, tests: int = 1) -> PairedDifference:
     """Test errors (n,) against other errors (n,) of the same people. ``tests`` is the number of differences tested together."""
-    if len(errors) < MIN_PEOPLE or len(errors) != len(others):
+    from scipy.special import stdtrit
+
+    n = len(errors)
+    if n < MIN_PEOPLE or n != len(others):
         raise InputError(
-            f"comparison: expected the errors of {MIN_PEOPLE} people or more, got {len(errors)} and {len(others)}. Add people."
+            f"comparison: expected the errors of {MIN_PEOPLE} people or more, got {n} and {len(others)}. Add people."
         )
     difference, interval = mean_interval(others - errors)
-    uncertainty = float((others - errors).std(ddof=1) / np.sqrt(len(errors)))
-    p_values = three_sided(difference, uncertainty, len(errors) - 1, margin=margin)
-    names: tuple[Verdict95, ...] = ("better", "equivalent", "worse")
-    verdict: Verdict95 = next(
-        (name for name, p in zip(names, p_values, strict=True) if tests * p <= level), "not decidable"
-    )
+    uncertainty = (others - errors).std(ddof=1) / np.sqrt(n)
+    # better and worse are the two tails of one test, equivalent is two one-sided tests
+    two_sided, one_sided = (float(stdtrit(n - 1, 1.0 - p / tests) * uncertainty) for p in (0.5 * LEVEL, LEVEL))
+    verdict: Verdict95 = "not decidable"
+    if difference - two_sided > margin:
+        verdict = "better"
+    elif difference + two_sided < -margin:
+        verdict = "worse"
+    elif abs(difference) + one_sided < margin:
+        verdict = "equivalent"
     return PairedDifference(difference=difference, interval=interval, verdict=verdict)
 
 

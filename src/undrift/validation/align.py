@@ -1,11 +1,20 @@
-"""Mounting: the rotation R from the device's case b to the body m that the reference tracks.
+"""Rotation between device and reference, and a check that both use the same quaternions, verticals and signs.
 
-From rates about two axes or more, R minimises sum |w - R u|^2 over the rates w of the body and u of the device about their means
-(Kabsch's problem, 1976). A movement about one axis, such as rising from a chair, does not determine that rotation. If the axes of
-the body mean nothing, as those of a cluster of markers, the vertical at rest replaces the second axis::
+Mounting: the rotation R from the device's case b to the body m that the reference tracks. From rates about two axes or more, R
+minimises sum |w - R u|^2 over the rates w of the body and u of the device about their means (Kabsch's problem, 1976). A movement
+about one axis, such as rising from a chair, does not determine that rotation. If the axes of the body mean nothing, as those of a
+cluster of markers, the vertical at rest replaces the second axis::
 
     R = R(g, angle) R1        R1: shortest rotation from the mean specific force to the vertical g of the body
     angle = atan2(sum g . (u x v), sum u . v - (u . g)(v . g))        u = R1 w: rates of the device, v: rates of the body
+
+Conventions: after a constant rotation R_mb, the rates of the reference must equal the rates of the device. A large residual
+indicates an inverted quaternion. The mean of the specific force in n over the whole recording must be gravity, up::
+
+    u = mean_k R(q_k) R_mb f_k / g = (0, 0, 1)          (a motion that returns to its start has no mean acceleration)
+
+If u is along another axis, the vertical axis of the laboratory is wrong. If u = (0, 0, -1), the vertical or the sign of the
+acceleration is reversed.
 """
 
 import math
@@ -15,13 +24,15 @@ from typing import Literal
 
 import numpy as np
 
-from undrift.arrays import FloatArray
-from undrift.errors import AlignmentError
+from undrift.arrays import FloatArray, interpolated
+from undrift.errors import AlignmentError, Implausible
+from undrift.findings import Finding, finding
 from undrift.frames import cross, quaternion_conjugate, quaternion_of, quaternion_product, rotate, rotation
+from undrift.model import AXES
 from undrift.orientation import shortest_rotation_up
 from undrift.record import Record, Reference
-from undrift.sync import MotionSpan
-from undrift.validation.reference_frames import best_rotation, common_rates
+from undrift.sync import MotionSpan, RunningIntegral, native_poses, pose_rates
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 Align = Literal["auto", "level"]
 REST_S = 10.0  # rest before the motion that gives tilt and heading
@@ -72,6 +83,22 @@ def turned(record: Record, matrix: FloatArray) -> Record:
     return replace(record, gyro=gyro, accel=accel)
 
 
+def common_rates(record: Record, poses: Reference, lag_s: float) -> tuple[FloatArray, FloatArray]:
+    """Return the rates of device and reference about their means, (K, 3) each, over the steps that both have seen."""
+    rates = pose_rates(poses)
+    gyro = np.empty((0, 3)) if record.gyro is None else record.gyro
+    mean, inside = RunningIntegral(record.time, gyro).mean(rates.start + lag_s, rates.stop + lag_s)
+    good = inside & rates.valid
+    return mean[good] - mean[good].mean(axis=0), rates.rate[good] - rates.rate[good].mean(axis=0)
+
+
+def best_rotation(u: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray, bool]:
+    """Return the rotation (3, 3) that minimises sum |w - R u|^2, the singular values, and whether a reflection fits better."""
+    left, singular, right = np.linalg.svd(w.T @ u)
+    sign = float(np.sign(np.linalg.det(left @ right)))
+    return left @ np.diag((1.0, 1.0, sign)) @ right, singular, sign < 0.0
+
+
 def rotation_by_rates(record: Record, poses: Reference, *, lag_s: float) -> FloatArray:
     """Return the rotation (3, 3) from the device to the body of the reference, from their rates."""
     matrix, singular, is_mirrored = best_rotation(*common_rates(record, poses, lag_s))
@@ -106,3 +133,83 @@ def rotation_by_level(record: Record, poses: Reference, motion: MotionSpan, *, l
     if math.hypot(across, along) < LEAST_SPREAD * float((v * v).sum()):
         raise AlignmentError("alignment: no rotation about a level axis. Bend or turn over once.")
     return rotation(quaternion_product(quaternion_of(math.atan2(across, along) * g), q_level)).as_matrix()
+
+
+# ---- conventions of device and reference
+
+# Shares of the square of the rates that are left over: sound recordings leave 0.001 to 0.04 (BROAD, before calibration)
+UNLIKE, LEFT_OVER, EXPLAINED = 0.15, 0.5, 0.1
+TILTED, CLEARLY = 30.0 * RADIAN_PER_DEGREE, 60.0 * RADIAN_PER_DEGREE
+LENGTH = (0.8, 1.2)  # range of the length of u for matching attitudes and forces
+LEAST_RATE = 2.0 * RADIAN_PER_DEGREE  # smallest rms rate that exceeds the noise, rad/s
+
+
+def unexplained_share(record: Record, poses: Reference, lag_s: float) -> tuple[float, FloatArray]:
+    """Return the share of the rates' square that no rotation between the bodies explains, and the best rotation (3, 3).
+
+    The share is NaN if the motion is too small to compare rates.
+    """
+    u, w = common_rates(record, poses, lag_s)
+    r_mb = best_rotation(u, w)[0]
+    total = 0.5 * float((w**2).sum() + (u**2).sum())
+    enough = len(w) > 0 and math.sqrt(total / len(w)) >= LEAST_RATE
+    return float(((w - u @ r_mb.T) ** 2).sum()) / total if enough else math.nan, r_mb
+
+
+def check_reference(record: Record, poses: Reference, lag_s: float) -> tuple[Finding, ...]:
+    """Return findings on the convention of a reference's poses, or raise an error if it is clearly wrong. The record is in SI."""
+    share, r_mb = unexplained_share(record, poses, lag_s)
+    if math.isnan(share):
+        return ()
+    if share > LEFT_OVER:
+        others = {
+            "its quaternions turn level to body, not body to level": quaternion_conjugate(poses.q_nb),
+            "its quaternions are x-y-z-w, not w-x-y-z": np.roll(poses.q_nb, 1, axis=1),
+        }
+        shares = {
+            text: unexplained_share(record, native_poses(replace(poses, q_nb=q)), lag_s)[0]
+            for text, q in others.items()
+        }
+        texts = [text for text in sorted(shares, key=lambda text: shares[text]) if shares[text] < EXPLAINED]
+        if texts:
+            raise _implausible(poses, ", or ".join(texts), "Convert them, or name their order in the map of the file.")
+    if share > UNLIKE:
+        return (
+            finding(
+                "validate.rates_differ",
+                "warn",
+                f"Device and reference do not turn alike: {100.0 * share:.0f} % of the squared rates remain. The "
+                "reference is of another segment or trial, or the device moves on the body.",
+                "Check that the reference belongs to this body and this trial.",
+            ),
+        )
+    if record.accel is None:
+        return ()
+
+    visible = poses.valid & (poses.time + lag_s >= record.time[0]) & (poses.time + lag_s <= record.time[-1])
+    force = interpolated(poses.time[visible] + lag_s, record.time, record.accel)
+    finite = np.isfinite(force).all(axis=1)
+    up = rotate(poses.q_nb[visible][finite], force[finite] @ r_mb.T).mean(axis=0) / STANDARD_GRAVITY
+    length = float(np.linalg.norm(up))
+    angle = math.acos(float(np.clip(up[2] / max(length, 1e-9), -1.0, 1.0)))
+    if not LENGTH[0] < length < LENGTH[1] or angle < TILTED:
+        return ()
+    k = int(np.abs(up).argmax())
+    axis = f"{'+' if up[k] > 0.0 else '-'}{AXES[k]}"
+    text = f"the axis of its laboratory that points up is {axis}, not +z"
+    if axis == "-z":
+        text = "acceleration has the opposite sign, or its laboratory is mirrored (left-handed) or upside down"
+    if angle > CLEARLY:
+        action = "Name the axis of the laboratory that points up (`reference_up`, or up in the map of a table)"
+        raise _implausible(poses, text, f"{action}, or correct the sign of the columns.")
+    sentence = f"Gravity is {angle / RADIAN_PER_DEGREE:.0f} deg off the vertical of the reference: {text}."
+    return (
+        finding("validate.not_up", "warn", sentence, "Check the axis that points up, the columns and the mounting."),
+    )
+
+
+def _implausible(poses: Reference, text: str, action: str) -> Implausible:
+    name = poses.name or "reference"
+    return Implausible(
+        f"{name}: the poses do not agree with the readings of the device: {text}. {action}", mistake=text
+    )

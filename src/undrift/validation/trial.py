@@ -55,9 +55,8 @@ from undrift.segments import unpadded
 from undrift.shown import Shown
 from undrift.sync import LONGEST_LAG_S, Lag, MotionSpan, find_motion, in_step, native_poses, padding, seen_poses
 from undrift.units import RADIAN_PER_DEGREE, is_physical
-from undrift.validation.align import LEAD_S, REST_S, Align, Mounting, align, turned
+from undrift.validation.align import LEAD_S, REST_S, Align, Mounting, align, check_reference, turned
 from undrift.validation.expected import ERROR_PRIOR, ErrorPrior, Expected, OffsetSource, Strapdown, expected_errors
-from undrift.validation.reference_frames import check_reference
 
 OffsetChoice = Literal["none", "rest", "motion"]
 Track = tuple[FloatArray, FloatArray]  # times (N,) s on the clock of the record, and the orientation (N, 4) at them

@@ -1,4 +1,4 @@
-"""Simulate: the chain as a whole, its bookkeeping, and streams that leave each other alone."""
+"""The chain as a whole, its bookkeeping, streams that leave each other alone, and a device that is read as time goes on."""
 
 from dataclasses import replace
 
@@ -20,8 +20,8 @@ from undrift.sim.device.effects import (
     Thermometer,
     WhiteNoise,
 )
-from undrift.sim.device.presets import random_device
-from undrift.sim.device.simulate import simulate_device
+from undrift.sim.device.presets import preset, random_device
+from undrift.sim.device.simulate import SimulatedDevice, simulate_device
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.bench import BenchSettings, bench_motion
 from undrift.sim.motion.tasks import draw_task
@@ -88,13 +88,6 @@ def test_the_same_seed_gives_the_same_readings_and_an_effect_more_leaves_the_noi
     assert not np.array_equal(run(quiet, motion, 10).record.gyro, first.record.gyro)  # type: ignore[arg-type]
 
 
-def test_a_gyroscope_reads_the_mean_of_the_step_or_the_instant() -> None:
-    motion = bench_motion("ferraris", rng=np.random.default_rng(2), settings=SHORT)
-    np.testing.assert_array_equal(run(device_of(), motion).record.gyro, motion.rate_b)  # type: ignore[arg-type]
-    averaged = run(device_of(sampling=Sampling()), motion).record.gyro
-    np.testing.assert_array_equal(averaged, motion.mean_rate_b)  # type: ignore[arg-type]
-
-
 def test_readings_are_gaps_where_the_motion_is_unknown() -> None:
     n = 400
     rate, valid = np.full((n, 3), 0.5), np.ones(n)
@@ -123,6 +116,53 @@ def test_readings_beyond_the_codes_are_held_and_reported() -> None:
     assert not made.gyro.saturated.any()
 
 
-def test_a_temperature_of_another_length_is_refused() -> None:
-    with pytest.raises(InputError, match=r"temp_c: expected shape \(10,\), got \(3,\)"):
-        run(device_of(), still_motion(10), temp_c=np.zeros(3))
+STEP_S = 0.01
+
+
+def read_in_pieces(device, columns, cuts, *, power_on_s, seed=4):
+    """Read the rows of columns, of which row 0 is met at the first reading."""
+
+    def surroundings(times, step_s):
+        rows = np.rint(times / step_s).astype(int) - 1
+        return tuple(column[rows] for column in columns)
+
+    read = SimulatedDevice(device, surroundings, seed, 0.0, power_on_s=power_on_s - STEP_S)
+    return np.concatenate([read.read(row * STEP_S)[1] for row in cuts[1:]])
+
+
+def situation(kind):
+    rng = np.random.default_rng(1)
+    device = random_device(rng, grade="consumer") if kind == "consumer" else preset(kind)
+    clock = replace(device.sampling, sample_rate_hz=None, clock_error=0.0, jitter_s=0.0)
+    clock = replace(clock, gyro_delay_s=np.zeros(3), accel_delay_s=np.zeros(3))
+    thermometer = Thermometer(lag_s=20.0, trim_error_c=0.4, self_heating_c=0.5)
+    motion = bench_motion("rate_table", rng=rng, settings=BenchSettings(turn_rates=(0.5, 1.5)))
+    temp = 25.0 + 6.0 * np.sin(np.arange(len(motion)) * 0.01)
+    return replace(device, thermometer=thermometer, sampling=clock), motion, temp
+
+
+@pytest.mark.parametrize(("kind", "size"), [("consumer", 7), ("enc03j_3031", 1), ("enc03j_3031", 100_000)])
+def test_without_noise_the_readings_are_those_of_the_whole_simulation(kind, size):
+    device, motion, temp = situation(kind)
+    device = without_noise(device)
+    whole = simulate_device(device, motion, rng=np.random.default_rng(0), temp_c=temp, power_on_s=30.0).record
+    columns = (motion.rate_b, motion.angular_acceleration_b, motion.force_b, motion.mean_rate_b, temp)
+    n = min(len(motion), 700 if size == 1 else 100_000)
+    said = read_in_pieces(device, columns, [*range(0, n, size), n], power_on_s=30.0)
+    gyro, accel, temp_c = said[:, :3], said[:, 3:6], said[:, 6]
+    assert gyro == pytest.approx(whole.gyro[:n], rel=1e-9, abs=1e-9)
+    assert accel == pytest.approx(whole.accel[:n], rel=1e-9, abs=1e-9)
+    assert temp_c == pytest.approx(whole.temp_c[:n], abs=1e-9)
+
+
+def test_the_noise_is_that_of_the_whole_simulation_at_every_time_scale():
+    device, _, _ = situation("consumer")
+    device, count = replace(device, gyro=replace(device.gyro, adc=None)), 20_000
+    still = np.zeros((count, 3))
+    pieces, whole = (
+        read_in_pieces(device, (still, still, still, still, np.full(count, 25.0)), cuts, power_on_s=1e6)[:, :3]
+        for cuts in ([*range(0, count, 40), count], [0, count])
+    )
+    for length in (1, 10, 100, 1000):
+        sizes = [np.diff(x.reshape(-1, length, 3).mean(axis=1), axis=0).std() for x in (pieces, whole)]
+        assert sizes[0] == pytest.approx(sizes[1], rel=0.35)

@@ -9,18 +9,65 @@
 
 import math
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Annotated, Literal, get_args
 
 import numpy as np
+from annotated_types import Ge
 
 from undrift.arrays import FloatArray
+from undrift.base.codec import Key, stored
 from undrift.errors import InputError
 from undrift.frames import cross, quaternion_product
 from undrift.record import FACES, Axis, Face
-from undrift.sim.bench_errors import IDEAL, BenchErrors, gain_of, level_of
 from undrift.sim.device.simulate import Streams, draw_streams
 from undrift.sim.motion.motion import Motion, Script, facing, turn_quaternion, unit_vector
-from undrift.units import EARTH_RATE, RADIAN_PER_DEGREE, STANDARD_GRAVITY
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+
+# ---- Errors of table, faces and hands. Draws are standard normal numbers, which are then scaled.
+
+OF_TABLE = (
+    "face_tilt", "mount_tilt", "level", "wobble", "table_rate", "servo", "encoder_lines",
+)  # fmt: skip
+
+
+@stored(keys=OF_TABLE)  # keys of [study.bench]
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BenchErrors:
+    """Standard deviations of the errors of a bench. With zeros, the bench is ideal."""
+
+    # tilt of each face, about each axis, rad
+    face_tilt: Annotated[float, Ge(0.0), Key("face_tilt_deg", unit=RADIAN_PER_DEGREE)] = 0.0
+    hand_axis: float = 0.0  # tilt of the axis of a turn by hand, about each perpendicular axis, rad
+    # misalignment of the device on the rig, about each axis, rad, drawn for each mounting
+    mount_tilt: Annotated[float, Ge(0.0), Key("mount_tilt_deg", unit=RADIAN_PER_DEGREE)] = 0.0
+    # tilt of the rig's axis from the vertical, about each horizontal axis, rad, drawn once per rig
+    level: Annotated[float, Ge(0.0), Key("level_deg", unit=RADIAN_PER_DEGREE)] = 0.0
+    # wobble of the table's axis between dwells, or of a plane between angles, about each axis, rad
+    wobble: Annotated[float, Ge(0.0), Key("wobble_deg", unit=RADIAN_PER_DEGREE)] = 0.0
+    # relative error of rate or frequency, drawn once per rig
+    table_rate: Annotated[float, Ge(0.0), Key("table_rate_percent", unit=0.01)] = 0.0
+    ripple: float = 0.0  # relative amplitude of a rate error with the period of a turn
+    excess: float = 0.0  # relative transient error of the rate at the start of a dwell
+    settle_s: float = 0.5  # time constant of that transient, s
+    # error of the angle turned in a dwell, rad
+    servo: Annotated[float, Ge(0.0), Key("servo_deg", unit=RADIAN_PER_DEGREE)] = 0.0
+    encoder_lines: Annotated[int, Ge(0)] = 0  # lines of the table's encoder, four counts each (0: rates without steps)
+
+
+IDEAL = BenchErrors()
+
+
+def level_of(errors: BenchErrors, streams: Streams) -> FloatArray:
+    """Return the tilt of a rig from level, as a quaternion in n, (4,)."""
+    level_n = np.array([*streams.of("bearing").normal(0.0, errors.level, 2), 0.0])
+    size = float(np.linalg.norm(level_n))
+    return turn_quaternion(np.cross(level_n, [0.0, 0.0, 1.0]) / (size or 1.0), np.array(size))
+
+
+def gain_of(errors: BenchErrors, streams: Streams) -> float:
+    """Return the ratio of true to nominal rate or frequency of a rig."""
+    return 1.0 + float(streams.of("motor").normal(0.0, errors.table_rate))
+
 
 # ---- Bench.
 
@@ -48,8 +95,6 @@ class BenchSettings:
     turn_rates: tuple[float, ...] = SIT_TO_STAND_RATES
     ramp_s: float = 0.5  # run-up of each table rate, s
     dwell_s: float = 3.0  # steady part of each table rate, s
-    lever_arm_b: tuple[float, float, float] = (0.0, 0.0, 0.0)  # position of the accelerometers from the turning axis, m
-    latitude_deg: float | None = None  # latitude of the bench, for the Earth rate (None: no Earth rate)
 
 
 def bench_motion(kind: BenchKind, *, rng: np.random.Generator, settings: BenchSettings | None = None) -> Motion:
@@ -67,17 +112,7 @@ def bench_motion(kind: BenchKind, *, rng: np.random.Generator, settings: BenchSe
         steady_rates(script, chosen, streams)
     if kind == "ferraris":
         _hand_turns(script, chosen, streams)
-    return script_motion(script, chosen)
-
-
-def script_motion(script: Script, settings: BenchSettings) -> Motion:
-    """Return the motion of a script on a bench. In the level frame n, y points north."""
-    earth_rate_n = np.zeros(3)
-    if settings.latitude_deg is not None:
-        latitude = settings.latitude_deg * RADIAN_PER_DEGREE
-        earth_rate_n = EARTH_RATE * np.array([0.0, math.cos(latitude), math.sin(latitude)])
-    arm_b = np.array(settings.lever_arm_b)
-    return script.motion(settings.gravity_m_s2, lever_arm_b=arm_b, earth_rate_n=earth_rate_n)
+    return script.motion(chosen.gravity_m_s2)
 
 
 def rest_on_faces(

@@ -2,7 +2,7 @@
 
 ::
 
-    rate_b   angular rate of b relative to inertial space, in b (some motions include the Earth rate)
+    rate_b   angular rate of b, in b
     force_b  specific force R_nb^T (p'' + g z), in b (at rest, the axis that points up reads +g)
 
 Both are closed-form values at the time of the sample, without numerical differentiation. If a recorded motion is unknown because
@@ -20,11 +20,11 @@ Script: a bench motion as a list of rotations about fixed axes, each with a poly
 In piece p, the case turns about an axis u_b by theta(s), where s is the local time over the duration, from its initial orientation
 q_p. All quantities follow in closed form::
 
-    q_nb = q_p (x) exp(u theta)      w_b = u theta'      f_b = R_nb^T (c'' + g z) + w' x r + w x (w x r)
+    q_nb = q_p (x) exp(u theta)      w_b = u theta'      f_b = R_nb^T g z
 
-where r is the lever arm of the accelerometers from the turning axis and c the path of a slide without rotation. A still has theta
-= 0. A hand turn has the quintic A (10 s^3 - 15 s^4 + 6 s^5), and the rate of a rate table's ramp increases with that quintic. A
-label omits its first sample, whose mean rate belongs to the previous piece. The label of a hand turn includes its last sample.
+A still has theta = 0. A hand turn has the quintic A (10 s^3 - 15 s^4 + 6 s^5), and the rate of a rate table's ramp increases with
+that quintic. A label omits its first sample, whose mean rate belongs to the previous piece. The label of a hand turn includes its
+last sample.
 """
 
 import math
@@ -34,7 +34,7 @@ from typing import Annotated, Any, Protocol
 import numpy as np
 
 from undrift.arrays import FloatArray, Shape, freeze
-from undrift.frames import cross, quaternion_conjugate, quaternion_product, rotate
+from undrift.frames import quaternion_conjugate, quaternion_product, rotate
 from undrift.record import Axis, Face, Still, Turn
 
 # ---- Course: one coordinate over time, a sum of parts whose derivatives are closed forms.
@@ -377,8 +377,8 @@ class Script:
         self.turns.append(Turn(start=start + 1, stop=stop, axis=axis, turn_rate=label_rate))
         self._turn(ramp_s, unit, RAMP_DOWN.times(turn_rate * ramp))
 
-    def motion(self, gravity_m_s2: float, *, lever_arm_b: FloatArray, earth_rate_n: FloatArray) -> Motion:
-        """Return the motion of the script, with lever_arm_b (3,), m, and earth_rate_n (3,), rad/s."""
+    def motion(self, gravity_m_s2: float) -> Motion:
+        """Return the motion of the script."""
         counts = [piece.stop - piece.start for piece in self.pieces]
         time, duration = np.arange(self.samples) / self.sample_rate_hz, np.repeat(counts, counts) / self.sample_rate_hz
         local = [np.arange(count) / count for count in counts]
@@ -388,17 +388,13 @@ class Script:
             np.repeat([piece.q for piece in self.pieces], counts, axis=0), turn_quaternion(axis_b, angle)
         )
         rate = (first / duration)[:, None] * axis_b
-        rotation_acceleration = (second / duration**2)[:, None] * axis_b
-        inverse = quaternion_conjugate(q)
-        earth_b = rotate(inverse, np.broadcast_to(earth_rate_n, rate.shape))
-        swing = cross(rotation_acceleration, lever_arm_b) + cross(rate, cross(rate, lever_arm_b))
         return Motion(
             time=time,
             q_nb=q,
-            rate_b=rate + earth_b,
-            mean_rate_b=mean_rate(time, q, rate[0]) + earth_b,
-            angular_acceleration_b=rotation_acceleration - cross(rate, earth_b),
-            force_b=rotate(inverse, np.broadcast_to([0.0, 0.0, gravity_m_s2], rate.shape)) + swing,
+            rate_b=rate,
+            mean_rate_b=mean_rate(time, q, rate[0]),
+            angular_acceleration_b=(second / duration**2)[:, None] * axis_b,
+            force_b=rotate(quaternion_conjugate(q), np.broadcast_to([0.0, 0.0, gravity_m_s2], rate.shape)),
             gravity_m_s2=gravity_m_s2,
             stills=tuple(self.stills),
             turns=tuple(self.turns),
