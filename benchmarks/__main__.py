@@ -1,8 +1,7 @@
 """Run every benchmarks/bench_*.py and print one table. With ``--strict``, exit with 1 if a gate is violated.
 
-``python -m benchmarks [NAME ...]`` runs only the named ones (``correct`` for ``bench_correct.py``). Long benchmarks run
-only if they are named (``study-note`` for ``long_study_note.py``). The gates apply to an idle machine with two cores. A
-busy machine violates some.
+``python -m benchmarks [NAME ...]`` runs only the named ones (``correct`` for ``bench_correct.py``). The gates apply to an
+idle machine with two cores. A busy machine violates some.
 """
 
 import importlib
@@ -14,28 +13,16 @@ from benchmarks.figure import Figure
 
 
 def main(names: list[str]) -> int:
-    """Print the figures of the named benchmarks, or of all.
-
-    Parameters
-    ----------
-    names : list of str
-        Module names without ``bench_``, empty for all; ``--strict`` anywhere among them.
-
-    Returns
-    -------
-    int
-        0; 1 where a gate is broken and ``--strict`` was said.
-    """
+    """Print the figures of the named benchmarks, or of all. Return 1 if a gate is broken and ``--strict`` is given."""
     strict = "--strict" in names
-    names = [name.replace("_", "-") for name in names if name != "--strict"]
-    quick, long = _modules("bench_"), _modules("long_")
-    every = {**quick, **long}
+    names = [name for name in names if name != "--strict"]
+    every = {path.stem.removeprefix("bench_"): path.stem for path in sorted(Path(__file__).parent.glob("bench_*.py"))}
     unknown = sorted(set(names) - set(every))
     if unknown:
         print(f"no benchmark named {', '.join(unknown)}; there are {', '.join(every)}", file=sys.stderr)
         return 2
     broken: list[str] = []
-    for name in names or quick:
+    for name in names or every:
         start = time.perf_counter()
         figures: list[Figure] = importlib.import_module(f"benchmarks.{every[name]}").run()
         print(f"\n{name}   ({time.perf_counter() - start:.0f} s)")
@@ -45,12 +32,6 @@ def main(names: list[str]) -> int:
         broken += [f"{name}: {figure.label}" for figure in figures if not figure.passed]
     print(f"\n{len(broken)} gates broken" + "".join(f"\n  {line}" for line in broken))
     return 1 if broken and strict else 0
-
-
-def _modules(prefix: str) -> dict[str, str]:
-    """Return the modules of a kind by the names that they are asked for by."""
-    stems = sorted(path.stem for path in Path(__file__).parent.glob(f"{prefix}*.py"))
-    return {stem.removeprefix(prefix).replace("_", "-"): stem for stem in stems}
 
 
 if __name__ == "__main__":

@@ -265,11 +265,20 @@ def test_gives_the_recorded_numbers(stage: str, request: pytest.FixtureRequest) 
     found = STAGES[stage]()
     held = json.loads(RECORDED.read_text()) if RECORDED.exists() else {}
     if request.config.getoption("--record"):
-        RECORDED.write_text(json.dumps(held | {stage: as_recorded(found)}, indent=1) + "\n")
+        RECORDED.write_text(written(held | {stage: as_recorded(found)}))
         return
     assert found.keys() == held[stage].keys()
     for name, value in found.items():
         agree(name, value, held[stage][name])
+
+
+def written(stages: dict[str, Numbers]) -> str:
+    """Return the numbers as JSON, a line for each quantity."""
+    texts = []
+    for stage, numbers in stages.items():
+        lines = ",\n".join(f"  {json.dumps(name)}: {json.dumps(value)}" for name, value in numbers.items())
+        texts.append(f" {json.dumps(stage)}: {{\n{lines}\n }}")
+    return "{\n" + ",\n".join(texts) + "\n}\n"
 
 
 def as_recorded(found: Numbers) -> Numbers:

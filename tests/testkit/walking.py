@@ -10,8 +10,9 @@ limb swings about the hip: forward within 0.38 of a stride, back within the rest
 
 import numpy as np
 
+from testkit.plain_triad import plain_triad
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
-from undrift.model import Calibration, TriadModel
+from undrift.model import Calibration
 from undrift.record import Record
 from undrift.sim.motion.motion import turn_quaternion
 
@@ -133,16 +134,12 @@ def _record_of(t, q, position, rng, q_ab, fine, noise):
     )
 
 
-def perfect(unit):
-    """Return the model of sensors that read right."""
-    return TriadModel(
-        method="stated", unit_in=unit, unit_out=unit, matrix=np.eye(3), offset=np.zeros(3), covariance=np.zeros((12, 12)),
-        rms_residual=0.0, count=12, rank=12, condition=1.0, valid_range=(-40.0, 40.0),
-    )  # fmt: skip
-
-
 def perfect_calibration():
     """Return the calibration of a device whose sensors read right."""
     return Calibration(
-        device="", reference_temp_c=np.nan, gravity_m_s2=9.80665, gyro=perfect("rad/s"), accel=perfect("m/s2")
+        device="",
+        reference_temp_c=np.nan,
+        gravity_m_s2=9.80665,
+        gyro=plain_triad("rad/s", "rad/s"),
+        accel=plain_triad("m/s2", "m/s2", "accel"),
     )
