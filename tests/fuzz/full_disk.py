@@ -95,8 +95,8 @@ CALLS = {
 FEW = ("info --write-map", "correct .csv", "export c")
 
 
-def make_inputs(folder: Path, *, soak: bool) -> str:
-    """Write what the calls read; return the serial number of the device."""
+def make_inputs(folder: Path, *, soak: bool) -> None:
+    """Write what the calls read."""
     import numpy as np
 
     from testkit.bench_and_commands import make_bench
@@ -105,7 +105,7 @@ def make_inputs(folder: Path, *, soak: bool) -> str:
     from testkit.walking import perfect_calibration, walk
     from undrift.io.formats import read_record, write_record
     from undrift.io.session import write_session
-    from undrift.io.store import read_calibration, write_calibration
+    from undrift.io.store import write_calibration
     from undrift.sim.device.presets import preset, random_device
     from undrift.sim.device.truth import true_calibration
     from undrift.sim.thermal import ThermalSettings, simulate_thermal_session
@@ -123,7 +123,6 @@ def make_inputs(folder: Path, *, soak: bool) -> str:
     rows = np.column_stack((trial.time, trial.gyro, trial.accel))[:500]
     np.savetxt(folder / "foreign.csv", rows, "%.6f", ",", header="t,gx,gy,gz,ax,ay,az", comments="")
     (folder / "study.toml").write_text(STUDY)
-    first = read_calibration(folder / "calibration.json")
     shutil.copyfile(broad_file("32_disturbed_attached_magnet_1cm"), folder / "broad.parquet")
     if soak:
         bench = replace(ThermalSettings().bench, sample_rate_hz=5.0)
@@ -136,7 +135,6 @@ def make_inputs(folder: Path, *, soak: bool) -> str:
     (folder / "people" / "trials.csv").write_text(TRIALS)
     write_record(walk(rng, q_ab=np.array([1.0, 0.0, 0.0, 0.0]), bouts=3), folder / "walk.parquet")
     write_calibration(perfect_calibration(), folder / "perfect.json")
-    return first.device
 
 
 def called(words: list[str]) -> tuple[int, str]:
@@ -169,16 +167,14 @@ def judge(
     lines = [line for line in err.splitlines() if not re.match(r"undrift \w+(?: \w+)?: ", line)]
     if code == -1 or "Traceback" in err:
         return "crash"
-    database = [name for name in after if ".sqlite" in name]  # its own journal keeps it whole
-    rest = {name: content for name, content in after.items() if name not in database}
     if any(name not in after for name in before):
         return "lost"
-    if any(name not in sound and name not in before for name in rest):
+    if any(name not in sound and name not in before for name in after):
         return "scrap"
-    new = {name for name, content in rest.items() if content != before.get(name)}
-    if any(not same(rest[name], sound[name]) for name in new):
+    new = {name for name, content in after.items() if content != before.get(name)}
+    if any(not same(after[name], sound[name]) for name in new):
         return "half file"
-    if call.together and 0 < len(new) < len([name for name in sound if name not in database]):
+    if call.together and 0 < len(new) < len(sound):
         return "apart"
     if code == 0:
         return "succeeds" if all(name in after for name in sound) else "unclear"
@@ -269,11 +265,11 @@ def main() -> int:
     (folder / "in").mkdir()
     names = [name for name in CALLS if (not given.words or any(word in name for word in given.words))]
     names = [name for name in names if not given.few or name in FEW]
-    serial = make_inputs(folder / "in", soak="drift" in names)
+    make_inputs(folder / "in", soak="drift" in names)
     tempfile.tempdir = str(folder / "disk" / "tmp")
     total, rows = Counter[str](), []
     with TalkingDevice(1000.0) as device:  # ten times as fast as it says
-        words = {"serial": serial, "device": device.address.replace("rate=1000", "rate=100") + "&clock_speed=10"}
+        words = {"device": device.address.replace("rate=1000", "rate=100") + "&clock_speed=10"}
         for name in names:
             faults, found, seconds = swept(name, folder, words, few=given.few)
             total += found

@@ -64,6 +64,11 @@ def test_constants_are_written_once() -> None:
         assert len([path for path in SOURCES if pattern.search(path.read_text())]) == 1, number
 
 
+def test_no_module_of_undrift_is_imported_by_a_string() -> None:
+    pattern = re.compile(r"""(import_module|__import__)\(f?["']undrift""")
+    assert [path for path in SOURCES if pattern.search(path.read_text())] == []
+
+
 def test_published_schema_is_that_of_the_models() -> None:
     published = json.loads((ROOT / "docs" / "calibration.schema.json").read_text())
     assert published == json.loads(json.dumps(schema_of(Calibration)))

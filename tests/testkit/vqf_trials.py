@@ -6,7 +6,6 @@ against optics, root mean square over the motion; heading is made equal over the
 """
 
 import sys
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -26,18 +25,6 @@ from undrift.validation.trial import compare_orientations
 
 BEFORE_S = 2.0
 LABELS = ("VQF on raw readings", "on corrected readings", "and the calibration's uncertainty as prior")
-
-
-@dataclass(frozen=True)
-class Row:
-    """Errors of one trial, deg: total angle, root mean square over the motion."""
-
-    name: str
-    device: str
-    raw: float  # VQF by itself
-    corrected: float  # VQF by itself on corrected readings
-    prior: float  # undrift's orient, method vqf: the calibration's uncertainty is the prior of the bias
-    strapdown: float  # undrift's orient on corrected readings
 
 
 def total_error_deg(q_nb: np.ndarray, reference: Reference) -> float:
@@ -61,47 +48,34 @@ def by_itself(record: Record) -> np.ndarray:
 
 
 @cache
-def rows() -> tuple[Row, ...]:
-    """Return the errors of every trial."""
-    results = []
+def errors_deg() -> dict[str, list[float]]:
+    """Return errors by trial and device, deg: VQF raw, VQF corrected, with the prior of a calibration, and strapdown."""
+    errors = {}
     for device in DEVICES:
         pairs, names = of_device(device)
         records, references = zip(*pairs, strict=True)
         adc = device_adc(records)
-        values = leave_one_out(records, references, adc=adc)
-        for name, (record, reference), fit in zip(names, pairs, values, strict=True):
+        fits = leave_one_out(records, references, adc=adc)
+        for name, (record, reference), fit in zip(names, pairs, fits, strict=True):
             model = Calibration(
                 device=device, reference_temp_c=np.nan, gravity_m_s2=STANDARD_GRAVITY, gyro=fit.model, adc=adc
             )
-            done = correct(record, model)
-            tracks = {
-                "raw": by_itself(record),
-                "corrected": by_itself(done),
-                "prior": orient(done, None, OrientSettings(method="vqf"), gyro_model=fit.model).q_nb,
-                "strapdown": orient(done, None, gyro_model=fit.model).q_nb,
-            }
-            results.append(Row(name, device, **{key: total_error_deg(q, reference) for key, q in tracks.items()}))
-    return tuple(results)
+            corrected = correct(record, model)
+            with_prior = orient(corrected, None, OrientSettings(method="vqf"), gyro_model=fit.model).q_nb
+            strapdown = orient(corrected, None, gyro_model=fit.model).q_nb
+            tracks = (by_itself(record), by_itself(corrected), with_prior, strapdown)
+            errors[f"{name[:2]} ({device})"] = [total_error_deg(q, reference) for q in tracks]
+    return errors
 
 
 def main(path: str) -> None:
-    """Draw the figure."""
-    shown = rows()
-    values = {
-        label: [getattr(row, key) for row in shown]
-        for label, key in zip(LABELS, ("raw", "corrected", "prior"), strict=True)
-    }
-    names = [f"{row.name[:2]} ({row.device})" for row in shown]
-    figure = draw_bars(
-        names, values, title="VQF against optics: BROAD trials, device in brackets", label="total error, rms (deg)"
-    )
-    save_figure(figure, Path(path))
-    for row in shown:
-        print(
-            f"| {row.name[:2]} ({row.device}) | {row.raw:.2f} | {row.corrected:.2f} | {row.prior:.2f} | {row.strapdown:.2f} |"
-        )
-    means = [float(np.mean([getattr(row, key) for row in shown])) for key in ("raw", "corrected", "prior", "strapdown")]
-    print("| mean | " + " | ".join(f"{value:.2f}" for value in means) + " |")
+    """Draw the figure and print the table."""
+    errors = errors_deg()
+    bars = {label: [values[k] for values in errors.values()] for k, label in enumerate(LABELS)}
+    title = "VQF against optics: BROAD trials, device in brackets"
+    save_figure(draw_bars(list(errors), bars, title=title, label="total error, rms (deg)"), Path(path))
+    for name, values in (errors | {"mean": np.mean(list(errors.values()), axis=0).tolist()}).items():
+        print("| ".join((f"| {name} ", *(f"{value:.2f} " for value in values), "")).rstrip())
 
 
 if __name__ == "__main__":
