@@ -340,7 +340,7 @@ def test_every_file_is_described_in_one_line(path):
         assert description.rows > 1
         assert description.sample_rate_hz > 1.0
     if path.name.startswith(FORCES):
-        assert "force plate" in description.summary
+        assert "other quantities" in description.summary
     if path.suffix == ".md" or path.name == "LICENSE":
         assert description.kind == "text"
 
