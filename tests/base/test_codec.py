@@ -121,12 +121,6 @@ def test_toml_has_lists_on_one_line_and_a_block_for_each_of_several_tables(tmp_p
     assert tomllib.loads(block) == {"recording": [{"file": "a\n[[b]]", "columns": {"gyro": ["x", 1]}}]}
 
 
-def test_a_tree_is_completed_before_it_is_checked() -> None:
-    tree = tree_of(example())
-    tree["temperature"] = tree.pop("temp_c")
-    assert tree_of(value_of(Loop, tree, "a")) == tree_of(example())
-
-
 @pytest.mark.parametrize(
     ("change", "text"),
     [

@@ -4,19 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.broad_files import broad_file
 
 from testkit.column_maps import column_map
 from testkit.data import data_path, show
-from testkit.findings import codes, only
 from testkit.host import HostSettings, HostStamped, stamp_on_host
-from undrift.errors import FileFormatError, InputError
+from undrift.errors import InputError
 from undrift.io.clock import fit_clock, host_stamps, unwrapped
 from undrift.io.column_map import ColumnMap
-from undrift.io.formats import iter_record, read_counted, read_record, write_record
-from undrift.io.inspect import describe, find_symptoms
-from undrift.io.session import read_session, write_session
-from undrift.record import Record, Session
+from undrift.io.formats import read_counted
+from undrift.record import Record
 
 RATE, SLOW = 100.0, 2e-4  # Hz; the host's seconds are longer by this
 
@@ -114,45 +110,6 @@ def test_stamps_of_a_host_are_recognised_and_other_uneven_times_are_not() -> Non
     assert host_stamps(record().time[:99]) is None
 
 
-def test_info_says_so_with_the_numbers_and_with_the_fitted_clock_what_was_done(tmp_path) -> None:
-    made = stamped(2)
-    write_record(made.record, tmp_path / "host.csv")
-    found = only(describe(tmp_path / "host.csv").findings, "recording.host_clock")
-    assert found.level == "warn"
-    assert found.values["sample_rate_hz"] == pytest.approx(RATE, rel=1e-3)
-    assert "clock = 'regular'" in found.action
-    assert "recording.uneven_sampling" not in codes(find_symptoms(made.record))  # of bursts they would be thousands
-    after = describe(tmp_path / "host.csv", ColumnMap(clock="regular"))
-    fitted = only(after.findings, "recording.how_read")
-    gaps = only(after.findings, "recording.uneven_sampling").values["count"]
-    assert f"in {gaps} gaps" in fitted.text
-    assert "steps of the stamps" in fitted.text
-    assert after.usual_rate_hz == pytest.approx(RATE, rel=1e-3)
-
-
-def test_every_reader_takes_the_setting_and_a_map_names_the_counter(tmp_path) -> None:
-    made = stamped(4)
-    settings, own = ColumnMap(clock="regular"), fit_clock(made.record.time)
-    for name in ("r.csv", "r.parquet"):
-        write_record(made.record, tmp_path / name)
-        np.testing.assert_array_equal(read_record(tmp_path / name, settings).time, own.time)
-        parts = list(iter_record(tmp_path / name, column_map=settings, rows=4000))
-        assert len(parts) > 2
-        np.testing.assert_array_equal(np.concatenate([part.time for part in parts]), own.time)
-    rows = np.column_stack((made.record.time, made.record.accel, made.counter))
-    np.savetxt(tmp_path / "t.csv", rows, delimiter=",", header="t,x,y,z,n", comments="")
-    keys = {"time": "t", "time_unit": "s", "accel": ("x", "y", "z"), "accel_unit": "g", "counter": "n"}
-    read = read_counted(tmp_path / "t.csv", column_map(**keys, clock="regular"))  # type: ignore[arg-type]
-    assert read.clock is not None
-    assert read.clock.counted
-    assert read.clock.missing == (np.diff(made.kept) - 1).sum()
-    plain = read_counted(tmp_path / "t.csv", column_map(**keys))  # type: ignore[arg-type]
-    assert plain.clock is None
-    del keys["time"], keys["time_unit"]
-    counted = read_counted(tmp_path / "t.csv", column_map(**keys, sample_rate_hz=RATE, clock="regular"))  # type: ignore[arg-type]
-    np.testing.assert_allclose(counted.record.time, (made.kept - made.kept[0]) / RATE, atol=1e-9)
-
-
 def test_equal_stamps_of_a_coarse_host_clock_stay_and_backward_ones_are_refused_or_repaired(tmp_path) -> None:
     made = stamped(5)
     coarse = np.floor(made.record.time / 0.016) * 0.016  # a clock of 16 ms
@@ -181,31 +138,6 @@ def test_too_short_and_mostly_missing_recordings_and_other_words_are_refused() -
     counter = np.concatenate((np.arange(300), 5000 + np.arange(300)))
     with pytest.raises(InputError, match="got 4700 of 5300 missing"):
         fit_clock(counter / RATE, counter.astype(float))
-
-
-def test_a_session_states_it_and_a_call_overrules_it(tmp_path) -> None:
-    made = stamped(6)
-    session = Session(kind="calibration", serial="A", gravity_m_s2=9.81, records=(made.record,))
-    write_session(session, tmp_path / "s")
-    own = fit_clock(made.record.time).time
-    np.testing.assert_array_equal(read_session(tmp_path / "s").records[0].time, made.record.time)
-    np.testing.assert_array_equal(read_session(tmp_path / "s", clock="regular").records[0].time, own)
-    path = tmp_path / "s" / "session.toml"
-    path.write_text(path.read_text() + 'clock = "regular"\n')
-    np.testing.assert_array_equal(read_session(path).records[0].time, own)
-    np.testing.assert_array_equal(read_session(path, clock="file").records[0].time, made.record.time)
-    path.write_text(path.read_text().replace('"regular"', '"even"'))
-    with pytest.raises(FileFormatError, match="clock"):
-        read_session(path)
-
-
-@pytest.mark.slow
-def test_a_format_with_a_clock_of_its_own_is_put_on_a_regular_one() -> None:
-    path = broad_file("24_disturbed_tapping_A")
-    read = read_counted(path, ColumnMap(clock="regular"))
-    assert read.clock is not None
-    np.testing.assert_allclose(read.record.time, read_record(path).time, atol=1e-6)
-    assert read.clock.sample_rate_hz == pytest.approx(2000.0 / 7.0, rel=1e-6)  # SOURCE.md: 285.71 Hz
 
 
 def dot(name: str) -> ColumnMap:

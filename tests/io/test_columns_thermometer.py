@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import undrift
-from undrift.errors import FileFormatError, InputError
-from undrift.io.column_map import ColumnMap, TempFile, read_map
+from undrift.errors import InputError
+from undrift.io.column_map import ColumnMap, TempFile
 from undrift.io.formats import iter_record, read_counted
 from undrift.record import Record
 
@@ -52,21 +52,6 @@ def test_a_thermometer_of_another_clock_or_without_readings_is_refused(folder):
     (folder / "none.csv").write_text("time_s,temp_c\n7,NaN\n8,NaN\n")
     with pytest.raises(InputError, match=r"none.csv: temperature: expected one reading or more, got none"):
         read_counted(folder / "r.csv", ColumnMap(temp_file=TempFile(file=str(folder / "none.csv"))))
-
-
-def test_a_map_names_the_thermometer_beside_it_with_columns_or_without(folder):
-    (folder / "a.toml").write_text('temp_file = { file = "t.csv" }\n')
-    assert read_map(folder / "a.toml").temp_file == TempFile(file=str(folder / "t.csv"))
-    (folder / "b.toml").write_text(
-        'columns = { gyro = ["x", "y", "z"] }\nunits = { gyro = "dps" }\nsample_rate_hz = 1\n'
-        'temp_file = { file = "t.csv", time = 0, temp = 1, shift_s = 2 }\n'
-    )
-    assert read_map(folder / "b.toml").temp_file == TempFile(file=str(folder / "t.csv"), time=0, temp=1, shift_s=2.0)
-    (folder / "c.toml").write_text("sample_rate_hz = 1\n")
-    assert read_map(folder / "c.toml").temp_file is None
-    (folder / "d.toml").write_text("temp_file = { temp = 1 }\n")
-    with pytest.raises(FileFormatError, match=r"\[temp_file\], file: this key is missing"):
-        read_map(folder / "d.toml")
 
 
 def test_a_session_names_the_thermometer_of_a_recording(folder):

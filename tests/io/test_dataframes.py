@@ -94,25 +94,6 @@ def test_missing_values_of_pandas_are_gaps_where_gaps_are_kept():
     assert kept.gyro[3, 0] == 2.0
 
 
-@pytest.mark.parametrize(
-    ("frame", "how", "error", "said"),
-    [
-        (PLAIN, {"sample_rate_hz": 10.0}, InputError, "the unit of gyro, got none"),
-        (PLAIN, {"units": UNITS}, InputError, "expected a time column or sample_rate_hz, got neither"),
-        (PLAIN, {"units": {"gyroscope": "dps"}}, InputError, "units of time, gyro, accel, temp, mag, got gyroscope"),
-        (PLAIN, {"columns": {"gy": "x"}}, InputError, "expected columns of time, gyro, accel, temp, mag, got gy"),
-        (
-            {**PLAIN, "gyro_x": ["a"] * N}, {"units": UNITS, "sample_rate_hz": 10.0}, FileFormatError,
-            "DataFrame: column 'gyro_x': expected numbers, got 'a' in data row 1",
-        ),
-        ({"x": [1.0, 2.0]}, {}, InputError, "gyro or accel, got neither"),
-    ],
-)  # fmt: skip
-def test_a_frame_that_leaves_something_open_is_refused(frame, how, error, said):
-    with pytest.raises(error, match=said):
-        Record.from_frame(pd.DataFrame(frame), **how)
-
-
 def test_without_pandas_a_frame_is_refused_and_the_rest_works(monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     record = Record.from_arrays(gyro=np.zeros((3, 3)), gyro_unit="dps", sample_rate_hz=10.0)

@@ -1,13 +1,10 @@
 """Makers' text exports: the real files with the figures of their SOURCE.md; formats without one, by their documents."""
 
-import struct
 import tomllib
-import zipfile
 
 import numpy as np
 import pytest
 
-from testkit.column_maps import column_map
 from testkit.data import data_path
 from undrift.errors import FileFormatError, InputError
 from undrift.io.column_map import ColumnMap
@@ -64,16 +61,6 @@ def test_an_export_reads_with_its_published_figures(folder, file, settings, kind
     assert (record.gyro is None) == (gyro is None)
     if gyro is not None:
         assert record.gyro_unit == gyro
-
-
-def test_mt_manager_rates_are_radians_and_its_field_is_left_out_aloud():
-    read = read_counted(maker("xsens_mtmanager", "skin_data_xsens.txt"))
-    assert read.record.mag_ut is None
-    assert read.notes == (
-        "units by the manual of Xsens, not in the file: gyro rad/s, accel m/s2",
-        "lines before the header skipped: 4",
-        "'Mag_X' left out: it has no unit of a magnetic field",
-    )
 
 
 def test_a_packet_counter_that_overflows_goes_on(tmp_path):
@@ -133,27 +120,6 @@ def test_free_acceleration_is_no_accelerometer():
         read_record(maker("xsens_mtmanager", "MT_012005D6-000_sit_to_stand-000_00B421ED.txt"))
 
 
-@pytest.mark.parametrize(
-    ("path", "missing", "words"),
-    [
-        (("shimmer_consensys", "read_test_data.csv"), "sensor", "The file contains LN, WR"),
-        (("delsys_trigno", "truncated_trigno_sample.csv"), "sensor", "Mini sensor 10, Mini sensor 11"),
-        (("apdm_csv", "imuData01.csv"), "sensor", "Static, Upper, Middle, Lower"),
-        (("stm_mems_logs", "unico_acc_only_driving.txt"), "sample_rate_hz", "sample rate"),
-        (("xsens_mtmanager", "MT_01200454_000-000_00B40DE4.txt"), "sample_rate_hz", "sample rate"),
-    ],
-)
-def test_what_a_file_leaves_open_is_asked_in_one_line(path, missing, words):
-    with pytest.raises(InputError) as caught:
-        read_record(maker(*path))
-    assert words in str(caught.value)
-    assert caught.value.numbers["missing"] == missing
-    found = describe(maker(*path))
-    assert found.kind == "table"
-    assert found.findings[0].values["missing"] == missing
-    assert words in found.summary
-
-
 def test_shimmer_stamps_that_repeat_are_counted_and_the_two_accelerometers_are_never_merged():
     low, wide = (
         read_counted(maker("shimmer_consensys", "read_test_data.csv"), ColumnMap(sensor=name)) for name in ("LN", "WR")
@@ -203,89 +169,7 @@ def test_noraxon_reads_with_both_delimiters_and_the_decimal_comma(tmp_path, deli
     assert "units by the manual of Noraxon, not in the file: time s" in read.notes
 
 
-def test_noraxon_names_one_side_before_and_behind_the_segment(tmp_path):
-    names = [f"RT Hand Accel Sensor {x} (mG)" for x in "XYZ"]
-    names += [
-        f"Noraxon MyoMotion-Segments-{place}-Gyroscope-{x} (deg/s)" for place in ("Hand RT", "Foot LT") for x in "xyz"
-    ]
-    (tmp_path / "n.csv").write_text(f"time,{','.join(names)}\n" + "0,1,2,990,4,5,6,7,8,9\n0.1,1,2,990,4,5,6,7,8,9\n")
-    record = read_record(tmp_path / "n.csv", ColumnMap(sensor="Hand RT"))
-    assert (record.accel[0].tolist(), record.gyro[0].tolist()) == ([1.0, 2.0, 990.0], [4.0, 5.0, 6.0])
-
-
-def test_two_rates_in_one_trigno_sensor_are_refused(tmp_path):
-    kinds = (("ACC", "g", "1.0e+002"), ("GYRO", "deg/s", "2.0e+002"))
-    label = "Label: S 1: {}.{} Sampling frequency: {} Number of points: 9 start: 0 Unit: {} Domain Unit: s"
-    lines = [label.format(kind, axis, rate, unit) for kind, unit, rate in kinds for axis in "XYZ"]
-    header = ",".join(f'X[s],"S 1: {kind}.{axis}"' for kind, _, _ in kinds for axis in "XYZ")
-    rows = "".join(",".join([f"{0.01 * k:.2f},1"] * 6) + "\n" for k in range(4))
-    (tmp_path / "t.csv").write_text("\n".join([*lines, header]) + "\n" + rows)
-    with pytest.raises(InputError, match="expected one sample rate in one sensor, got 100 Hz, 200 Hz"):
-        read_record(tmp_path / "t.csv")
-
-
-def test_a_zip_is_to_be_unpacked(tmp_path):
-    with zipfile.ZipFile(tmp_path / "walk.zip", "w") as held:
-        held.writestr("Gyroscope.csv", "time,seconds_elapsed,z,y,x\n")
-    with pytest.raises(FileFormatError, match=r"got a zip archive or an Excel workbook. Unpack it and name the folder"):
-        read_record(tmp_path / "walk.zip")
-
-
-# ---- damage
-
-
-@pytest.mark.parametrize("folder", sorted({row[0] for row in READ} | {"xsens_dot", "phyphox_csv", "opensim_sto_mot"}))
-def test_a_file_cut_or_spoilt_anywhere_is_read_or_refused_in_one_line(tmp_path, folder):
-    rng, refusals = np.random.default_rng(3), []
-    for path in sorted(maker(folder).iterdir()):
-        if path.suffix == ".mat" or path.name == "SOURCE.md":
-            continue
-        content = path.read_bytes()[:6000]
-        for at in rng.integers(10, len(content), 6):
-            spoilt = content[:at] + (
-                bytes(rng.integers(1, 256, 3, dtype=np.uint8)) + content[at + 3 :] if at % 2 else b""
-            )
-            (tmp_path / f"a{path.suffix}").write_bytes(spoilt)
-            try:
-                assert describe(tmp_path / f"a{path.suffix}").summary
-            except InputError as error:
-                refusals.append(str(error))
-    assert not any("\n" in refusal for refusal in refusals)
-
-
 # ---- makers that this version does not know: a map in one line reads the same rows
-
-BY_MAP = [
-    (
-        ("apdm_csv", "apdm_format7.csv"),
-        column_map(
-            time=0, accel=(1, 2, 3), gyro=(4, 5, 6), mag=(7, 8, 9), time_unit="us", accel_unit="m/s2", gyro_unit="rad/s",
-            mag_unit="uT", header=False, skip_rows=3,
-        ),
-        3, 128.0, 10.29,
-    ),
-    (
-        ("delsys_trigno", "discover164_basic_first12rows.csv"),
-        column_map(accel=(5, 6, 7), accel_unit="g", sample_rate_hz=74.0741, header=False, skip_rows=7),
-        12, 74.0741, 0.979,
-    ),
-    (
-        ("mobilised_mat", "mobgap_csv_HA001_TimeMeasure1_Test5_Trial1.csv"),
-        column_map(
-            accel=("acc_x", "acc_y", "acc_z"), gyro=("gyr_x", "gyr_y", "gyr_z"), accel_unit="g", gyro_unit="dps",
-            sample_rate_hz=100.0,
-        ),
-        1246, 100.0, 0.9816,
-    ),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("path", "columns", "rows", "rate", "accel"), BY_MAP, ids=["apdm7", "discover", "mobgap"])
-def test_a_map_reads_an_export_without_a_dialect(path, columns, rows, rate, accel):
-    record = read_record(maker(*path), columns)
-    assert len(record) == rows
-    assert record.sample_rate_hz == pytest.approx(rate, rel=1e-5)
-    assert size(record.accel) == pytest.approx(accel, abs=0.006)
 
 
 STEP_LOGGER = """
@@ -320,21 +204,3 @@ def test_an_mt_export_without_a_rate_takes_its_fine_clock_of_10_khz(tmp_path):
     assert read.notes[1] == "time from SampleTimeFine, 10 kHz by the manual of Xsens"
     stated = read_counted(tmp_path / "m.txt", ColumnMap(sample_rate_hz=50.0))
     np.testing.assert_allclose(stated.record.time, [0.0, 0.02, 0.04, 0.06])
-
-
-def element(kind, data):
-    return struct.pack("<II", kind, len(data)) + data + b"\0" * (-len(data) % 8)
-
-
-def test_timetables_in_a_mat_file_are_refused_with_their_mend(tmp_path):
-    def timetable(name):  # as the format's documents have objects: flags, name, system, class, a reference of uint32
-        reference = element(6, struct.pack("<II", 13, 0)) + element(5, struct.pack("<ii", 6, 1)) + element(1, b"")
-        reference += element(6, struct.pack("<6I", 0xDD000000, 2, 1, 1, 1, 1))
-        words = element(1, name) + element(1, b"MCOS") + element(1, b"timetable")
-        return element(14, element(6, struct.pack("<II", 17, 0)) + words + element(14, reference))
-
-    head = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<HH", 0x0100, 0x4D49)
-    path = tmp_path / "sensorlog.mat"
-    path.write_bytes(head + timetable(b"Acceleration") + timetable(b"AngularVelocity"))
-    with pytest.raises(FileFormatError, match="expected arrays, got MATLAB objects"):
-        read_record(path)

@@ -16,11 +16,6 @@ STO = ("makers", "opensim_sto_mot", "myComplexTasksTrial_orientations.sto")
 IMUS = "pelvis_imu, tibia_r_imu, femur_r_imu, tibia_l_imu, femur_l_imu, calcn_l_imu, calcn_r_imu"
 
 
-def put(tmp_path, name, text):
-    (tmp_path / name).write_text(text)
-    return tmp_path / name
-
-
 # ---- OpenSim
 
 
@@ -54,33 +49,6 @@ def test_an_opensense_table_wants_the_name_of_one_sensor():
         read_reference(data_path(*STO), labels=["a", "b"])
     with pytest.raises(FileFormatError, match="expected a recording, got orientations"):
         read_record(data_path(*STO))
-
-
-@pytest.mark.parametrize("name", ["std_subject01_walk1_ik.mot", "gait10dof18musc_ik_CRLF_line_ending.mot"])
-def test_coordinates_of_a_model_are_named_for_what_they_are(name):
-    path = data_path("makers", "opensim_sto_mot", name)
-    with pytest.raises(FileFormatError, match="got an OpenSim table of coordinates or forces of a model"):
-        read_record(path)
-    assert describe(path).kind == "text"
-    assert "undrift validate is the .sto file of orientations" in describe(path).summary
-
-
-HEAD = "DataRate=100\nDataType=Quaternion\nversion=3\nendheader\n"
-
-
-@pytest.mark.parametrize(
-    ("rows", "words"),
-    [
-        ("Frame\ta\n0\t1,0,0,0\n1\t1,0,0,0\n", "expected 'time' and sensor names after endheader, got b'Frame"),
-        ("time\ta\n0\t1,0,0,0\n", "expected two frames or more, got 1. The file is truncated"),
-        ("time\ta\n", "expected two frames or more, got 0. The file is truncated"),
-        ("time\ta\n0\t1,1,1,1\n1\t1,1,1,1\n", "expected unit quaternions, got length 2. Check the export"),
-        ("time\ta\n1\t1,0,0,0\n0\t1,0,0,0\n", "strictly increasing seconds"),
-    ],
-)
-def test_damaged_opensense_tables_are_named(tmp_path, rows, words):
-    with pytest.raises(InputError, match=words):
-        read_reference(put(tmp_path, "a.sto", HEAD + rows))
 
 
 # ---- makers' tables

@@ -10,12 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from testkit.column_maps import column_map
 from testkit.strategies import assert_same, few, one_line, records
 from testkit.trc_text import trc
 from undrift.errors import FileFormatError, InputError
 from undrift.io.column_map import ColumnMap
-from undrift.io.columns import native_columns
 from undrift.io.formats import iter_record, read_counted, read_record, write_record
 from undrift.record import ForceUncertainty, Record, joined
 
@@ -46,25 +44,6 @@ def test_chunks_are_the_whole(tmp_path_factory, n, rows, ending):
     chunks = list(iter_record(path, rows=rows))
     assert all(2 <= len(chunk) <= rows + 1 for chunk in chunks)
     np.testing.assert_array_equal(np.concatenate([chunk.gyro for chunk in chunks]), ramp(n).gyro)
-
-
-def test_native_names_without_time_take_the_stated_rate(tmp_path):
-    record = ramp()
-    names, columns = native_columns(record)
-    np.savetxt(tmp_path / "r.csv", np.column_stack(columns[1:]), "%.17g", ",", header=",".join(names[1:]), comments="")
-    with pytest.raises(InputError, match="got neither"):
-        read_record(tmp_path / "r.csv")
-    assert_same(read_record(tmp_path / "r.csv", ColumnMap(sample_rate_hz=100.0)), record)
-
-
-def test_gaps_are_refused_or_kept_as_the_map_says(tmp_path):
-    (tmp_path / "a.csv").write_text("t,x,y,z\n" + "".join(f"{0.1 * k},{'' if k == 3 else k},2,3\n" for k in range(9)))
-    plain = column_map(time="t", time_unit="s", gyro=("x", "y", "z"), gyro_unit="dps")
-    for read in (read_record, lambda *a: next(iter_record(*a))):
-        assert np.isnan(read(tmp_path / "a.csv", plain.but(gaps="keep")).gyro).sum() == 1
-        for refused in (plain, plain.but(gaps="raise")):
-            with pytest.raises(InputError, match="got 1 empty or NaN cells, first in data row 4"):
-                read(tmp_path / "a.csv", refused)
 
 
 # header and sample sizes, start, end, and two samples of 16 bytes

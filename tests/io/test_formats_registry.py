@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import undrift
-from undrift.errors import FileFormatError
 from undrift.io.column_map import ColumnMap
 from undrift.io.formats import FORMATS, detect, iter_record, outside_formats
 from undrift.io.inspect import describe
@@ -104,10 +103,3 @@ def test_an_entry_point_that_is_no_format_is_skipped_with_a_warning(site, tmp_pa
     (tmp_path / "a.log").write_text("a\n")
     with pytest.warns(UserWarning, match="the format broken of another package is not used"):
         assert detect(tmp_path / "a.log") == "text"
-
-
-def test_a_note_that_names_a_maker_is_prose(tmp_path):
-    (tmp_path / "SOURCE.md").write_text("# ActiGraph files\n\nwhere they come from\n")
-    assert detect(tmp_path / "SOURCE.md") == "text"
-    with pytest.raises(FileFormatError, match="got prose, not a table"):
-        undrift.read_record(tmp_path / "SOURCE.md")

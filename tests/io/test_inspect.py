@@ -7,7 +7,6 @@ import pytest
 
 from testkit.column_maps import column_map
 from testkit.trc_text import trc
-from undrift.errors import InputError
 from undrift.io.column_map import TextLayout
 from undrift.io.columns import ReadResult
 from undrift.io.inspect import describe, describe_record
@@ -101,24 +100,6 @@ def test_every_other_file_says_in_one_line_what_it_is_or_needs(tmp_path, name, c
         assert found.problems == (found.summary,)
 
 
-def test_arrays_and_foreign_parquet_say_which_map_they_need(tmp_path):
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-    from scipy.io import savemat
-
-    savemat(tmp_path / "a.mat", {"t_s": np.arange(5.0), "gyro_raw": np.zeros((5, 3)), "acc_raw": np.zeros((5, 3))})
-    assert 'columns = { time = "t_s", gyro = "gyro_raw", accel = "acc_raw" }' in describe(tmp_path / "a.mat").summary
-    assert describe(tmp_path / "a.mat").columns[1] == "gyro_raw (5, 3)"
-    savemat(tmp_path / "c.mat", {"gyro": np.zeros((5, 3)), "acc": np.full((5, 3), 16384 / 3**0.5)})
-    units, _, why = describe(tmp_path / "c.mat").example[1].partition("  # ")
-    assert units == 'units = { gyro = "count", accel = "count" }'
-    assert why == "proposed: accel by the median |a| 1.638e+04; gyro by whole numbers up to 0"
-    pq.write_table(pa.table({"Acc_X": [1.0], "Acc_Y": [1.0], "Acc_Z": [1.0]}), tmp_path / "a.parquet")
-    assert 'accel = ["Acc_X", "Acc_Y", "Acc_Z"]' in describe(tmp_path / "a.parquet").summary
-    savemat(tmp_path / "b.mat", {"k": np.arange(5.0)})
-    assert describe(tmp_path / "b.mat").summary == "arrays without three axes (k), not a recording"
-
-
 def test_with_a_map_a_foreign_table_is_described_with_its_problems(tmp_path):
     path = put(tmp_path, "x.csv", "ax,ay,az\n" + "0,0,0.25\n0,0.01,0.25\n" * 50 + "0,0\n")
     layout = TextLayout(drop_bad_rows=True)
@@ -129,49 +110,3 @@ def test_with_a_map_a_foreign_table_is_described_with_its_problems(tmp_path):
     assert (left_out.code, left_out.values) == ("recording.rows_left_out", {"count": 1})
     assert (gravity.code, gravity.values["direction"]) == ("recording.gravity", "small")
     assert gravity.values["median_g"] == pytest.approx(0.25, rel=0.01)
-
-
-def test_damaged_json_and_missing_files_are_errors(tmp_path):
-    with pytest.raises(InputError, match="expected JSON, got something else"):
-        describe(put(tmp_path, "a.json", "{"))
-    with pytest.raises(InputError, match="no file of that name"):
-        describe(tmp_path / "none")
-
-
-def test_axes_numbered_from_0_or_1_are_three_axes(tmp_path):
-    head = "t," + ",".join(f"{kind}_LSM6_{k}" for kind in ("ACCEL", "GYRO") for k in range(3))
-    rows = "".join(f"{k / 100},0,0,9.8,{k % 7},1,2\n" for k in range(200))
-    found = describe(put(tmp_path, "a.csv", f"{head}\n{rows}"))
-    assert '"ACCEL_LSM6_0", "ACCEL_LSM6_1", "ACCEL_LSM6_2"' in found.example[0].partition("accel")[2]
-    assert '"GYRO_LSM6_0", "GYRO_LSM6_1", "GYRO_LSM6_2"' in found.example[0].partition("gyro")[2]
-    assert describe(put(tmp_path, "b.csv", f"n_0,n_1,n_2,n_3\n{'1,2,3,4' * 1}\n1,2,3,5\n")).example == ()
-
-
-@pytest.mark.parametrize(
-    ("content", "columns"),
-    [
-        ("1,2,3,4,5,6,7\n{}", "columns = { time = 0, accel = [1, 2, 3], gyro = [4, 5, 6] }"),  # numbered columns
-        ("t;ax;ay;az;gx;gy;gz\n{}\n", "columns = { time = 0, accel = [1, 2, 3], gyro = [4, 5, 6] }"),  # rows end with ;
-        ("=~=~= PuTTY log, 2026.01.31, 12:00 =~=~=\n{}", "columns = { time = 0, accel = [1, 2, 3], gyro = [4, 5, 6] }"),
-    ],
-)
-def test_odd_headers_leave_one_question(tmp_path, content, columns):
-    mark = ";" if ";" in content else ","
-    lines = "\n".join(
-        mark.join(f"{x:.4g}" for x in (k / 100, 0.1, 0.2 + k % 3 / 10, 9.8, k % 5 / 7, 0.3, k % 4 / 9))
-        + ";" * (mark == ";")
-        for k in range(200)
-    )
-    assert describe(put(tmp_path, "a.csv", content.format(lines + "\n"))).example[0] == columns
-
-
-def test_a_banner_with_the_commas_of_the_rows_is_not_taken_for_names(tmp_path):
-    rows = "".join(f"{k % 7},{100 + k % 5},{-k % 3}\n" for k in range(60))
-    found = describe(put(tmp_path, "gyro.csv", f"=~=~= PuTTY log 2021.05.16 18:46:21 =~=~=,,\n{rows}"))
-    assert found.columns == ("0", "1", "2")
-    assert "skip_rows = 1" in found.example
-
-
-def test_one_axis_a_file_is_named(tmp_path):
-    found = describe(put(tmp_path, "x.csv", "".join(f"{16000 + k % 9}\n" for k in range(60))))
-    assert "gyro = { x = 0 }" in found.summary

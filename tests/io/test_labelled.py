@@ -12,7 +12,7 @@ from undrift.errors import FileFormatError, InputError
 from undrift.io.column_map import ColumnMap, read_map
 from undrift.io.formats import detect, iter_record, read_counted, read_record
 from undrift.io.inspect import describe
-from undrift.io.labelled import Label, label_of, open_sheet, split_unit
+from undrift.io.labelled import Label, label_of, open_sheet
 
 
 def put(tmp_path, text, name="t.csv"):
@@ -54,12 +54,6 @@ def test_a_column_is_what_its_name_and_unit_say(name, unit, label):
     assert label_of(name, unit) == label
 
 
-def test_a_name_is_split_from_its_unit_and_an_index_is_no_unit():
-    assert split_unit("A_X [mg]") == ("A_X", "mg")
-    assert split_unit("Acc (m/(s^2))") == ("Acc", "m/(s^2)")
-    assert split_unit("Rot[0]") == ("Rot[0]", "")
-
-
 FLAVOURS = [(",", "."), ("\t", "."), (";", "."), ("\t", ","), (";", ",")]
 
 
@@ -75,26 +69,6 @@ def test_phyphox_reads_in_every_flavour_of_its_export(tmp_path, delimiter, decim
     np.testing.assert_allclose(record.accel, [[-0.15, 0.025, 9.805]] * 9)
     np.testing.assert_allclose(record.time, 0.005 + 0.01 * np.arange(9))
     assert (record.accel_unit, record.gyro) == ("m/s2", None)
-
-
-ST_ROWS = [
-    (f"{1000 + 10 * k}", "-748", "608", "12", "35", "-70", "140", "500", "-20", "4", "1013.2", "24.5") for k in range(5)
-]
-ST_NAMES = "time[ms],acc_x[mg],acc_y[mg],acc_z[mg]," + (
-    "gyro_x[mdps],gyro_y[mdps],gyro_z[mdps],mag_x[mG],mag_y[mG],mag_z[mG],press[mBar],temp[\xb0C]"
-)
-
-
-def test_an_st_log_in_latin_1_is_read(tmp_path):
-    rows = "".join(f"{','.join(row)}\n" for row in ST_ROWS)
-    read = read_counted(put(tmp_path, f"log of a board\n{ST_NAMES}\n{rows}".encode("latin-1")))
-    assert len(read.record) == 5
-    np.testing.assert_allclose(read.record.accel, [[-748, 608, 12]] * 5)
-    np.testing.assert_allclose(read.record.gyro, [[0.035, -0.07, 0.14]] * 5)
-    np.testing.assert_allclose(read.record.mag_ut, [[50.0, -2.0, 0.4]] * 5)
-    np.testing.assert_allclose(read.record.temp_c, 24.5)
-    assert (read.record.accel_unit, read.record.gyro_unit) == ("mg", "dps")
-    assert read.notes == ("lines before the header skipped: 1",)
 
 
 def test_a_preamble_is_skipped_and_a_unit_row_is_used_and_both_are_stated(tmp_path):
@@ -114,59 +88,10 @@ def test_a_preamble_is_skipped_and_a_unit_row_is_used_and_both_are_stated(tmp_pa
     assert not any("header" in problem for problem in found.problems)
 
 
-def test_own_names_behind_a_preamble_read_without_a_map(tmp_path):
-    path = put(
-        tmp_path, "# a comment\n# another\ntime_s,gyro_x_dps,gyro_y_dps,gyro_z_dps\n0.0,1,2,3\n0.1,1,2,3\n0.2,1,2,3\n"
-    )
-    assert read_record(path).gyro.tolist() == [[1.0, 2.0, 3.0]] * 3
-
-
 def test_a_clock_since_1970_starts_at_zero(tmp_path):
     rows = "".join(f"{1700000000000 + 20 * k},0,0,1\n" for k in range(4))
     record = read_record(put(tmp_path, f"time (ms),ax (g),ay (g),az (g)\n{rows}"))
     np.testing.assert_allclose(record.time, [0.0, 0.02, 0.04, 0.06], atol=1e-9)
-
-
-def test_a_unit_that_no_name_states_is_not_supplied(tmp_path):
-    path = put(tmp_path, "time (s),ax,ay,az\n0,0,0,9.8\n1,0,0,9.8\n")
-    assert detect(path) == "csv"
-    with pytest.raises(InputError, match="expected names such as gyro_x_dps"):
-        read_record(path)
-    found = describe(path)
-    assert 'accel = "m/s2" }  # proposed: accel by the median |a| 9.8' in found.example[1]
-
-
-@pytest.mark.parametrize(
-    ("size", "unit"), [("0.99", "g"), ("9.79", "m/s2"), ("1003", "mg"), ("16384", "count"), ("0.02", "?")]
-)
-def test_units_are_proposed_from_the_size_of_gravity_and_say_so(tmp_path, size, unit):
-    found = describe(put(tmp_path, "ax,ay,az,gx,gy,gz\n" + f"0,0,{size},1,2,3\n" * 9))
-    assert f'accel = "{unit}"' in found.example[1]
-    assert (f"accel by the median |a| {float(size):.4g}" in found.example[1]) == (unit != "?")
-    assert ('gyro = "count"' in found.example[1]) == (unit == "count")
-
-
-def test_gravity_tells_the_accelerometer_of_a_table_without_names(tmp_path):
-    found = describe(put(tmp_path, "0.1,0.2,-0.1,0.2,9.7,0.9\n0.1,0.1,-0.1,0.2,9.7,0.8\n" * 9))
-    assert found.example[0] == "columns = { accel = [3, 4, 5], gyro = [0, 1, 2] }"
-    assert found.example[1].startswith(
-        'units = { accel = "m/s2", gyro = "?" }  # proposed: accel by the median |a| 9.7'
-    )
-
-
-@pytest.mark.parametrize(
-    "header",
-    [
-        "xsens_gyro_x,xsens_gyro_y,xsens_gyro_z",
-        "mag_x [T],mag_y [T],mag_z [T]",
-        "X (uT),Y (uT),Z (uT)",
-        "vel_x,vel_y,vel_z",
-    ],
-)
-def test_what_is_no_accelerometer_is_never_proposed_as_one(tmp_path, header):
-    found = describe(put(tmp_path, f"time (s),{header}\n" + "0,1,2,3\n1,1,2,3\n2,1,2,4\n"))
-    assert "accel" not in "".join(found.example[:1]) or found.example[0].count('"ax"') == 1
-    assert found.kind == "table"
 
 
 def test_several_sensors_in_one_table_ask_for_one_and_share_no_channel(tmp_path):
@@ -242,20 +167,6 @@ def test_the_sample_rate_of_a_line_before_the_header_or_of_an_array_is_proposed(
     assert "sample_rate_hz = 102.4  # by fs" in describe(tmp_path / "a.mat").example
 
 
-def test_lines_before_the_rows_may_be_empty_or_text(tmp_path):
-    rows = "".join(f"{k},0,0,9.8\n" for k in range(99))
-    empty = describe(put(tmp_path, f"\n\nn,ax,ay,az\n{rows}"))
-    assert (empty.format, empty.columns, empty.example[-1]) == ("csv", ("n", "ax", "ay", "az"), "skip_rows = 2")
-    text = describe(put(tmp_path, "# a logger\n# of a laboratory\n# end\n" + rows.replace(",", "\t")))
-    assert (text.format, text.example[-1]) == ("csv", "skip_rows = 3")
-
-
-@pytest.mark.parametrize("row", ["(s),(g),(g),(g)", "[s],[g],[g],[g]"])
-def test_units_in_brackets_under_the_names_are_read(tmp_path, row):
-    record = read_record(put(tmp_path, f"time,ax,ay,az\n{row}\n" + "0,0,0,1\n0.5,0,0,1\n"))
-    assert (record.accel_unit, record.duration_s) == ("g", 0.5)
-
-
 # ---- dates
 
 
@@ -278,31 +189,6 @@ def test_dates_are_seconds_from_the_first(tmp_path, stamps):
     assert np.concatenate([part.time for part in iter_record(bare, columns, rows=2)]).tolist() == stated.time.tolist()
 
 
-def test_dates_of_a_table_without_names_are_proposed_and_read(tmp_path):
-    rows = "".join(f"2014-05-07 16:29:{30 + k // 100}.{k % 100:02d}0,0.1,0.2,0.97\n" for k in range(250))
-    path = put(tmp_path, rows)
-    example = describe(path).example
-    assert example[0] == "columns = { time = 0, accel = [1, 2, 3] }"
-    assert tomllib.loads(example[1])["units"] == {"time": "date", "accel": "g"}
-    put(tmp_path, "\n".join(example), "map.toml")
-    record = read_record(path, read_map(tmp_path / "map.toml"))
-    assert (len(record), record.sample_rate_hz) == (250, pytest.approx(100.0))
-
-
-@pytest.mark.parametrize(
-    ("cell", "words"),
-    [
-        ("31/01/2026 12:00:01", "expected dates such as 2026-01-31"),
-        ("2026-13-31 12:00:01", r"expected dates, got none .*onth"),
-    ],
-)
-def test_other_dates_are_refused(tmp_path, cell, words):
-    path = put(tmp_path, f"when,ax,ay,az\n2026-01-31 12:00:00,0,0,1\n{cell},0,0,1\n")
-    columns = column_map(time="when", time_unit="date", accel=("ax", "ay", "az"), accel_unit="g")
-    with pytest.raises(FileFormatError, match=f"column 'when': {words}"):
-        read_record(path, columns)
-
-
 def test_a_table_that_states_one_unit_of_two_is_not_read_by_halves(tmp_path):
     rows = "".join(f"{k / 100},0,0,9.8,1,2,3\n" for k in range(4))
     path = put(tmp_path, f"time (s),ax,ay,az,gx (dps),gy (dps),gz (dps)\n{rows}")
@@ -323,30 +209,6 @@ def test_a_decimal_comma_is_seen_and_stands_in_the_proposed_map(tmp_path, delimi
     put(tmp_path, "\n".join(example), "map.toml")
     record = read_record(tmp_path / "t.csv", read_map(tmp_path / "map.toml"))
     assert (record.accel[0].tolist(), record.sample_rate_hz) == ([0.12, 0.21, 9.79], pytest.approx(100.0))
-
-
-@pytest.mark.parametrize(("row", "temp"), [("20.{k},5,-3,16384,1,2,-3", 0), ("5,-3,16384,1,2,-3,20.{k}", 6)])
-def test_a_thermometer_without_a_name_is_the_column_that_fits_one(tmp_path, row, temp):
-    found = describe(put(tmp_path, "".join(row.format(k=k % 7) + "\n" for k in range(20))))
-    start = 1 - temp // 6
-    accel, gyro = ([start + k for k in three] for three in ((0, 1, 2), (3, 4, 5)))
-    assert tomllib.loads(found.example[0])["columns"] == {"temp": temp, "accel": accel, "gyro": gyro}
-    assert tomllib.loads(found.example[1])["units"] == {"temp": "degC", "accel": "count", "gyro": "count"}
-
-
-def test_blanks_and_dates_are_a_table_and_no_prose(tmp_path):
-    rows = "".join(f"2026-01-31T12:00:00.{k:02d} 0.1 0.2 9.79\n" for k in range(20))
-    found = describe(put(tmp_path, f"time ax ay az\n{rows}"))
-    assert (found.format, tomllib.loads(found.example[1])["units"]) == ("csv", {"time": "date", "accel": "m/s2"})
-
-
-def test_a_damaged_row_that_is_no_utf_8_is_named_in_one_line(tmp_path, capfd):
-    rows = b"".join(b"%d,0,0,1\n" % k for k in range(9)) + b"9,\x9a\xff,0,1,7,7\n"
-    path = put(tmp_path, b"time (s),ax (g),ay (g),az (g)\n" + rows + b"10,0,0,1\n" * 300)
-    columns = column_map(time="time (s)", time_unit="s", accel=("ax (g)", "ay (g)", "az (g)"), accel_unit="g")
-    with pytest.raises(FileFormatError, match="4 columns in every row, got 6 in data row 10"):
-        read_record(path, columns)
-    assert capfd.readouterr().err == ""
 
 
 def test_a_header_with_fewer_names_than_columns_is_refused(tmp_path):

@@ -103,17 +103,3 @@ def test_the_log_of_a_gt3x_reads_its_accelerometer(tmp_path):
     record = read_record(path)
     assert record.device.endswith("NEO1")
     np.testing.assert_allclose(record.accel, SAMPLES, atol=2e-3)  # actfast rounds to 0.001 g
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["makers/axivity_cwa/ax3_testfile.cwa", "makers/geneactiv_bin/gnactv_sample.bin"])
-def test_an_overwritten_file_of_a_logger_ends_in_one_line(tmp_path, name):
-    whole = data_path(*name.split("/")).read_bytes()
-    (tmp_path / name.split("/")[-1]).write_bytes(whole[:600] + np.random.default_rng(1).bytes(len(whole) - 600))
-    with pytest.raises(FileFormatError):
-        read_record(tmp_path / name.split("/")[-1])
-
-
-def test_a_gt3x_of_the_older_layout_is_refused_with_the_way_out():
-    with pytest.raises(FileFormatError, match="older layout"):
-        read_record(data_path("makers", "actigraph_gt3x", "sample.gt3x"))

@@ -9,16 +9,14 @@ from testkit.firmware import Motion, Shape, motion, shapes
 from undrift.errors import InputError
 from undrift.io.column_map import ColumnMap, read_map
 from undrift.io.columns import ReadResult
-from undrift.io.formats import format_of, read_counted, read_reference
+from undrift.io.formats import format_of, read_counted
 from undrift.io.inspect import describe
 from undrift.io.log import find_readings, names_of
-from undrift.io.reference import read_reference_map
 from undrift.units import si_factor
 
 SHAPES = shapes()
 REFUSED = {"header_again": "drop_bad_rows"}  # and the mend that the refusal names
 DIGITS = {"rate": 0.006, "accel": 0.006}  # rad/s, m/s2: half of the last digit that the coarsest shape prints
-LATE = {"noisy"}  # a line is lost: the readings behind it are one sample late beside the truth
 
 
 def read_as_proposed(path) -> tuple[ReadResult, set[str]]:
@@ -91,13 +89,6 @@ def test_what_is_no_log_is_none(text: str, tmp_path):
     assert format_of(path)[0] != "log"
 
 
-def test_json_over_many_lines_is_no_log(tmp_path):
-    written = json.dumps({f"axis {k}": {"mean": 0.1 * k, "size": 2.0} for k in range(30)}, indent=1)
-    for name in ("part.json", "part.txt"):
-        (tmp_path / name).write_text(written)
-        assert format_of(tmp_path / name)[0] == "json"
-
-
 def test_lines_that_are_lost_are_counted_and_a_last_line_without_end_is_left_out():
     lines = [f"a/g:\t{k}\t2\t3\t4\t5\t6\n" for k in range(20)]
     lines[7] = "a/g:\t7\t2\n"
@@ -136,29 +127,6 @@ def test_words_around_numbers_name_them(shape, names):
     assert names_of(shape) == names
 
 
-def test_readings_of_a_length_near_one_in_columns_without_names_are_no_orientations(tmp_path):
-    rng = np.random.default_rng(0)
-    rows = np.hstack((rng.normal((0.0, 0.0, 1.0), 0.002, (200, 3)), rng.normal(0.0, 0.002, (200, 3))))
-    for before in ("", "IMU,"):
-        path = tmp_path / "still.txt"
-        path.write_text("".join(before + ",".join(f"{x:.4f}" for x in row) + "\n" for row in rows))
-        assert describe(path).example[0] == "columns = { accel = [0, 1, 2], gyro = [3, 4, 5] }"
-
-
-def test_a_log_of_orientations_is_a_reference_by_the_map_that_is_proposed(tmp_path):
-    half = 0.5 * np.linspace(0.0, 1.0, 50)
-    path, where = tmp_path / "quat.log", tmp_path / "map.toml"
-    path.write_text(
-        "".join(f"t:{10 * k},qw:{np.cos(a):.6f},qx:{np.sin(a):.6f},qy:0.0,qz:0.0\n" for k, a in enumerate(half))
-    )
-    where.write_text(describe(path).proposal.text("a.log"))
-    columns = read_reference_map(where)
-    assert columns is not None
-    reference = read_reference(path, columns)
-    np.testing.assert_allclose(reference.q_nb[:, 0], np.cos(half), atol=1e-6)
-    assert reference.sample_rate_hz == pytest.approx(100.0)
-
-
 def test_lines_of_json_are_a_log_by_any_name_and_a_document_is_none(tmp_path):
     lines = [
         json.dumps({"t_ms": 10 * k, "ax": 0.01, "ay": 0.02, "az": 9.81, "gx": 0.1, "gy": 0.2, "gz": 0.3})
@@ -170,12 +138,3 @@ def test_lines_of_json_are_a_log_by_any_name_and_a_document_is_none(tmp_path):
     (tmp_path / "one.json").write_text("{}\n")
     (tmp_path / "whole.json").write_text('{"a": {"b": 1},\n"c": 2}\n')
     assert {format_of(tmp_path / name)[0] for name in ("one.json", "whole.json")} == {"json"}
-
-
-def test_the_label_t_of_a_firmware_log_is_no_time(tmp_path):
-    path = tmp_path / "a.log"
-    path.write_text(
-        "".join(f"gyro x: {k} y: 2 z: 3 dps | acc x: 0.1 y: 0.2 z: 9.8 m/s2 | T: 23.5\n" for k in range(60))
-    )
-    found = describe(path)
-    assert all('time = "T"' not in line for line in found.example)

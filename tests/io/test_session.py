@@ -66,20 +66,6 @@ def test_the_session_of_the_design_reads_as_it_says(tmp_path):
     assert_same(read_session(tmp_path / "session.toml").records[0], session.records[0])
 
 
-def test_a_rate_table_is_as_good_as_the_session_states_and_else_as_usual(tmp_path):
-    assert read_session(folder(tmp_path)).rate_table == RateTable()
-    stated = "[rate_table]\nmount_tilt_deg = 0.25\nwobble_deg = 0\n[[recording]]"
-    held = read_session(folder(tmp_path, FULL.replace("[[recording]]", stated, 1))).rate_table
-    assert held == RateTable(mount_tilt_deg=0.25, wobble_deg=0.0)
-
-
-def test_a_device_follows_temperature_as_the_session_states_and_else_as_consumer_parts(tmp_path):
-    assert read_session(folder(tmp_path)).sensitivity == TemperatureSensitivity()
-    stated = "[temperature]\naccel_offset_mg_per_k = 0.1\nspan_limit_k = 3\n[[recording]]"
-    held = read_session(folder(tmp_path, FULL.replace("[[recording]]", stated, 1))).sensitivity
-    assert held == TemperatureSensitivity(accel_offset_mg_per_k=0.1, span_limit_k=3.0)
-
-
 def test_gravity_that_nobody_stated_is_assumed_and_is_not_stated_by_writing_it_down(tmp_path):
     session = read_session(folder(tmp_path, FULL.replace("gravity_m_s2 = 9.80665\n", "")))
     assert (session.gravity_m_s2, session.gravity_source) == (9.80665, "standard")
@@ -174,28 +160,6 @@ def test_what_is_wrong_is_named_by_line_and_entry(tmp_path, old, new, words):
     with pytest.raises(InputError, match=words) as caught:
         read_session(folder(tmp_path, FULL.replace(old, new, 1)))
     assert "session.toml" in one_line(caught)
-
-
-def test_a_folder_without_session_and_a_session_without_recording_are_refused(tmp_path):
-    with pytest.raises(InputError, match=r"expected a folder with session.toml, got none"):
-        read_session(tmp_path)
-    (tmp_path / "session.toml").write_text(HEAD)
-    with pytest.raises(FileFormatError, match="recording: this key is missing"):
-        read_session(tmp_path)
-    (tmp_path / "session.toml").write_bytes(b"\xff\xfe[")
-    with pytest.raises(FileFormatError, match="expected UTF-8 text"):
-        read_session(tmp_path)
-
-
-def test_settings_of_a_map_without_columns_are_not_ignored(tmp_path):
-    record = Record(time=np.arange(5) / 100, gyro=np.ones((5, 3)))
-    write_csv(record, tmp_path / "native.csv")
-    (tmp_path / "session.toml").write_text(HEAD + '[[recording]]\nfile = "native.csv"\nskip_rows = 2\n')
-    with pytest.raises(InputError, match=r"skip_rows cannot be used without columns"):
-        read_session(tmp_path)
-    (tmp_path / "session.toml").write_text(HEAD + "[[recording]]\nfile = []\n")
-    with pytest.raises(InputError, match="file: expected one file or more"):
-        read_session(tmp_path)
 
 
 def write_axes(folder, axes="xyz"):

@@ -105,10 +105,3 @@ def test_rows_whose_time_goes_back_are_left_out_of_own_names_on_request(tmp_path
     kept = [0.0, 0.01, 0.02, 0.03, 0.04]
     np.testing.assert_array_equal(read_record(tmp_path / name, settings).time, kept)
     np.testing.assert_array_equal(next(iter_record(tmp_path / name, settings)).time, kept)
-
-
-def test_rows_that_do_not_parse_are_left_out_of_own_names_on_request(tmp_path):
-    (tmp_path / "r.csv").write_text("time_s,gyro_x_dps,gyro_y_dps,gyro_z_dps\n0,1,2,3\n0.1,1,x,3\n0.2,1,2,3\n")
-    with pytest.raises(FileFormatError, match=r"set drop_bad_rows = true in a map \(`column_map` FILE\)"):
-        read_record(tmp_path / "r.csv")
-    assert len(read_record(tmp_path / "r.csv", ColumnMap(drop_bad_rows=True))) == 2

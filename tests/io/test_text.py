@@ -76,25 +76,12 @@ def test_a_text_in_pieces_reads_as_in_one(tmp_path, pieces, monkeypatch, name):
     assert len(several) == 40
 
 
-def test_columns_beside_may_change_from_piece_to_piece(tmp_path, pieces):
-    for beside in (["1"] * 20 + ["2.5"] * 20, [""] * 20 + ["2"] * 20, ["1"] * 20 + ["words"] * 20):
-        lines = [f"{row},{cell}" for row, cell in zip(rows(40), beside, strict=True)]
-        found = read_text(put(tmp_path, table(lines, header="t,x,y,z,note")), XYZ)
-        assert (len(found.record), found.dropped_rows) == (40, 0)
-
-
 @pytest.mark.parametrize("bad", ["0.2,0.1,0.1", '0.2,"0.1,0.1,0.1', "0.2,0.1,?,0.1"])
 def test_a_bad_row_of_a_later_piece_is_named_by_its_place(tmp_path, pieces, bad):
     path = put(tmp_path, table([*rows(30), bad, *rows(40)[31:]]))
     with pytest.raises(FileFormatError, match="in data row 31 "):
         read_text(path, XYZ)
     assert read_text(path, XYZ.but(drop_bad_rows=True)).dropped_rows == 1
-
-
-def test_lines_longer_than_a_piece_and_lines_that_end_with_cr_alone_are_read(tmp_path, pieces):
-    wide = table([f"{row},{'w' * 100}" for row in rows()], header="t,x,y,z,note")
-    assert len(read_text(put(tmp_path, wide), XYZ).record) == 8
-    assert len(read_text(put(tmp_path, table(rows()).replace("\n", "\r")), XYZ).record) == 8
 
 
 def test_a_text_tells_how_far_it_is_read(tmp_path, pieces):
@@ -126,20 +113,6 @@ def test_a_corrected_file_is_a_plain_table_and_says_so_beside_it(tmp_path):
     assert (back.state, back.frame, back.device) == ("corrected", "b", "A;\n1")
 
 
-def test_a_recording_that_replaces_a_corrected_one_takes_what_stood_beside_it_away(tmp_path):
-    write_csv(CORRECTED, tmp_path / "r.csv")
-    write_csv(Record(time=[0.0, 1.0], gyro=np.zeros((2, 3))), tmp_path / "r.csv")
-    assert [path.name for path in tmp_path.iterdir()] == ["r.csv"]
-    assert read_text(tmp_path / "r.csv").record.state == "raw"
-
-
-def test_a_table_that_cannot_be_written_leaves_nothing_beside_it(tmp_path):
-    (tmp_path / "r.csv").mkdir()
-    with pytest.raises(InputError, match="cannot be written"):
-        write_csv(CORRECTED, tmp_path / "r.csv")
-    assert [path.name for path in tmp_path.iterdir()] == ["r.csv"]
-
-
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -154,22 +127,6 @@ def test_a_statement_beside_a_table_that_does_not_fit_it_is_refused(tmp_path, ch
     beside.write_text(json.dumps(json.loads(beside.read_text()) | change))
     with pytest.raises(FileFormatError, match=said):
         read_text(tmp_path / "r.csv")
-
-
-@pytest.mark.parametrize("damage", [lambda t: t[:60], lambda t: t.replace("undrift.record", "undrift.recorb")])
-def test_a_statement_beside_a_table_that_is_damaged_is_refused(tmp_path, damage):
-    write_csv(CORRECTED, tmp_path / "r.csv")
-    beside = tmp_path / "r.csv.json"
-    beside.write_text(damage(beside.read_text()))
-    with pytest.raises(FileFormatError, match="JSON file was changed"):
-        read_text(tmp_path / "r.csv")
-
-
-@pytest.mark.parametrize("content", ["not json", '{"Manufacturer": "other"}', "[1]"])
-def test_a_json_of_another_program_beside_a_table_is_not_ours(tmp_path, content):
-    write_csv(Record(time=[0.0, 1.0], gyro=np.zeros((2, 3))), tmp_path / "r.csv")
-    (tmp_path / "r.csv.json").write_text(content)
-    assert read_text(tmp_path / "r.csv").record.state == "raw"
 
 
 def test_units_and_scales_are_applied_as_the_map_says(tmp_path):
@@ -205,11 +162,6 @@ def test_positions_blanks_tabs_and_decimal_commas_are_read(tmp_path):
     np.testing.assert_array_equal(record.accel, [[1.5, 2.5, 3.5], [1, 2, 3]])
 
 
-def test_blanks_around_a_name_do_not_count_and_a_byte_order_mark_is_skipped(tmp_path):
-    path = put(tmp_path, b"\xef\xbb\xbft, x ,y,z\n0,1,2,3\n1,4,5,6\n")
-    np.testing.assert_array_equal(read_text(path, XYZ).record.accel[:, 0], [1, 4])
-
-
 def test_broken_rows_are_dropped_on_request_and_counted_and_their_time_is_kept(tmp_path):
     text = "log started\n0,0,1\n0,0,1,5\n0,0,bad,5\n0,0,1,5\n0,0\n"
     path = put(tmp_path, text)
@@ -222,19 +174,6 @@ def test_broken_rows_are_dropped_on_request_and_counted_and_their_time_is_kept(t
     assert built.record.time[:2].tolist() == pytest.approx([0.0, 0.2])
     with pytest.raises(FileFormatError, match="4 columns in every row, got 1 in data row 1"):
         read_text(path, column_map(gyro=(0, 1, 2), gyro_unit="dps", sample_rate_hz=10.0, header=False))
-
-
-@pytest.mark.parametrize(
-    "row", ['"0.040,0.1,0.04,1.0', '0.040,"0.1,0.04,1.0', '0.040,0.1,0.04,"1.0', '0.040,0.1,0.04,1.0"']
-)
-def test_a_quote_without_its_partner_takes_no_other_row_into_its_cell(tmp_path, row):
-    lines = rows()
-    lines[4] = row
-    path = put(tmp_path, table(lines))
-    with pytest.raises(FileFormatError, match=r"expected quotes that close in their row, got .* in data row 5 .1 such"):
-        read_text(path, XYZ)
-    found = read_text(path, XYZ.but(drop_bad_rows=True))
-    assert (len(found.record), found.dropped_rows) == (7, 1)
 
 
 def test_a_last_row_without_a_line_end_is_read_and_noted(tmp_path):
@@ -262,16 +201,6 @@ def test_time_that_goes_back_is_repaired_on_request_and_counted(tmp_path):
     assert built.repaired_rows == 2
     assert len(built.record) == 38
     assert (np.diff(built.record.time) > 0).all()
-
-
-def test_gaps_are_kept_only_on_request(tmp_path):
-    path = put(tmp_path, table(["0,1,2,3", "1,,2,3", "2,1,nan,3"]))
-    with pytest.raises(InputError, match=r"column 'x': .* got 1 empty or NaN cells, first in data row 2"):
-        read_text(path, XYZ)
-    kept = read_text(
-        path, column_map(time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g", gaps="keep")
-    ).record
-    assert np.isnan(kept.accel).sum() == 2
 
 
 BAD = [
@@ -336,29 +265,6 @@ def test_jitter_and_drop_outs_are_not_two_rates(tmp_path):
     time = np.cumsum(0.017 + 0.001 * rng.integers(-1, 2, 600) + 2.8 * (np.arange(600) % 170 == 169))
     record = read_text(put(tmp_path, table([f"{t:.4f},0,0,1" for t in time])), XYZ).record
     assert len(record) == 600
-
-
-def test_a_stated_rate_that_the_time_column_denies_is_refused(tmp_path):
-    columns = column_map(time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g", sample_rate_hz=204.8)
-    with pytest.raises(InputError, match=r"expected the specified 204.8 Hz, got 100 Hz from time column 't'"):
-        read_text(put(tmp_path, table(rows())), columns)
-
-
-def test_too_much_repair_is_refused(tmp_path):
-    columns = column_map(time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g", repair_time=True)
-    path = put(tmp_path, table([f"{10 - k},0,0,1" for k in range(10)]))
-    with pytest.raises(InputError, match="expected time that mostly goes forward, got 9 of 10 rows to drop"):
-        read_text(path, columns)
-
-
-def test_skipping_past_the_end_and_positions_outside_are_refused(tmp_path):
-    path = put(tmp_path, table(rows()))
-    columns = column_map(gyro=(0, 1, 9), gyro_unit="dps", sample_rate_hz=1.0)
-    with pytest.raises(InputError, match=r"column 9 \(from 0\), got 4 columns"):
-        read_text(path, columns)
-    columns = column_map(gyro=(0, 1, 2), gyro_unit="dps", sample_rate_hz=1.0, skip_rows=99)
-    with pytest.raises(FileFormatError, match="expected rows after 99 skipped lines, got none"):
-        read_text(path, columns)
 
 
 def test_an_appended_table_is_whole_after_each_piece_and_never_written_over(tmp_path):

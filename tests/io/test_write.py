@@ -112,12 +112,6 @@ def test_opensense_gets_a_header_a_named_column_and_quaternions_scalar_first(tmp
     np.testing.assert_allclose(table[:, 1:], q, atol=1e-11)  # twelve digits are written
 
 
-def test_a_name_that_opensense_cannot_have_as_a_column_is_refused(tmp_path):
-    with pytest.raises(InputError, match="expected letters, digits and _ for a column"):
-        write_orientation(*orientation(), tmp_path / "o.sto", body="my pelvis")
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_file_has_the_mode_that_the_umask_gives_and_keeps_its_own(tmp_path):
     import os
 
