@@ -21,7 +21,7 @@ import numpy as np
 from annotated_types import Ge
 
 from undrift.arrays import BoolArray, FloatArray, Shape, freeze
-from undrift.base.codec import AnyNumber, Gap, Key, Named, TableRows, stored, tree_of
+from undrift.base.codec import AnyNumber, Gap, Key, Pairs, stored, tree_of
 from undrift.errors import InputError
 from undrift.findings import Finding as Finding
 from undrift.findings import Status as Status
@@ -371,9 +371,9 @@ class BodyMounting:
 class Provenance:
     """Origin of a calibration: input files with their sha256, settings, packages with their versions, and time."""
 
-    inputs: Annotated[tuple[tuple[str, str], ...], TableRows(("file", "sha256"))] = ()
-    settings: Annotated[tuple[tuple[str, str], ...], Named("settings")] = ()
-    versions: Annotated[tuple[tuple[str, str], ...], Named("versions")] = ()
+    inputs: Annotated[tuple[tuple[str, str], ...], Pairs(("file", "sha256"))] = ()
+    settings: Annotated[tuple[tuple[str, str], ...], Pairs()] = ()
+    versions: Annotated[tuple[tuple[str, str], ...], Pairs()] = ()
     created: Annotated[str, Key("time")] = ""  # ISO 8601, UTC
 
     def text(self, name: str) -> str:

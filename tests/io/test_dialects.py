@@ -5,13 +5,16 @@ import tomllib
 import numpy as np
 import pytest
 
+from testkit.column_maps import reference_map
 from testkit.data import data_path
 from undrift.errors import FileFormatError, InputError
-from undrift.io.column_map import ColumnMap
+from undrift.frames import rotate
+from undrift.io.column_map import ColumnMap, TextLayout
 from undrift.io.columns import build_record
-from undrift.io.dialects import Dialect
-from undrift.io.formats import detect, read_counted, read_record
+from undrift.io.dialects import Dialect, dialects
+from undrift.io.formats import detect, read_counted, read_record, read_reference
 from undrift.io.inspect import describe
+from undrift.io.reference import read_reference_map
 
 
 def maker(*parts):
@@ -204,3 +207,120 @@ def test_an_mt_export_without_a_rate_takes_its_fine_clock_of_10_khz(tmp_path):
     assert read.notes[1] == "time from SampleTimeFine, 10 kHz by the manual of Xsens"
     stated = read_counted(tmp_path / "m.txt", ColumnMap(sample_rate_hz=50.0))
     np.testing.assert_allclose(stated.record.time, [0.0, 0.02, 0.04, 0.06])
+
+
+# ---- wearable formats in their text form
+
+GYRO = [f"Gyroscope {a} (deg/s)" for a in "XYZ"]
+ACCEL = [f"Accelerometer {a} (g)" for a in "XYZ"]
+
+
+def csv(header, rows):
+    return "\n".join([",".join(header), *(",".join(repr(float(v)) for v in row) for row in rows)]) + "\n"
+
+
+def test_temperature_of_its_own_rate_is_interpolated_and_held_at_the_ends(tmp_path):
+    rng, n = np.random.default_rng(7), 200
+    time, values = np.arange(n) * 0.02, rng.normal(size=(n, 10))
+    header = ["Time (s)", *GYRO, *ACCEL, *(f"Magnetometer {a} (uT)" for a in "XYZ"), "Barometer (hPa)"]
+    (tmp_path / "sensors.csv").write_text(csv(header, np.column_stack((time, values))))
+    assert read_record(tmp_path).temp_c is None
+    clock, temp = -0.5 + np.arange(4), 30.0 + np.arange(4)
+    names = ["Time (s)", "Processor (degC)", "Gyroscope And Accelerometer (degC)", "Environmental Sensor (degC)"]
+    (tmp_path / "temperature.csv").write_text(csv(names, np.column_stack((clock, temp + 20, temp, temp - 5))))
+    record = read_record(tmp_path)
+    assert detect(tmp_path) == "ngimu"
+    np.testing.assert_array_equal(record.gyro, values[:, :3])
+    np.testing.assert_array_equal(record.accel, values[:, 3:6])
+    np.testing.assert_array_equal(record.mag_ut, values[:, 6:9])
+    np.testing.assert_allclose(record.temp_c, np.interp(time, clock, temp))
+    (tmp_path / "temperature.csv").write_text("Time (s),Gyroscope And Accelerometer (degC)\n")
+    with pytest.raises(InputError, match="one reading or more"):
+        read_record(tmp_path)
+
+
+def test_ximu_packets_place_the_temperature_and_the_rate_is_stated(tmp_path):
+    values = np.random.default_rng(2).normal(size=(5, 9))
+    header = ["Packet number", *GYRO, *ACCEL, *(f"Magnetometer {a} (G)" for a in "XYZ")]
+    (tmp_path / "7_CalInertialAndMag.csv").write_text(csv(header, np.column_stack((10 + 2 * np.arange(5), values))))
+    (tmp_path / "7_CalBattAndTherm.csv").write_text(
+        "Packet number,Battery voltage (V),Thermometer (degrees C)\n10,4,30\n18,4,34\n"
+    )
+    with pytest.raises(InputError, match="sample rate"):
+        read_record(tmp_path)
+    record = read_record(tmp_path, ColumnMap(sample_rate_hz=256.0))
+    np.testing.assert_allclose(record.temp_c, [30, 31, 32, 33, 34])
+    np.testing.assert_allclose(record.mag_ut, values[:, 6:] * 100)
+    assert record.sample_rate_hz == pytest.approx(256.0)
+    (tmp_path / "8_CalInertialAndMag.csv").write_text("x")
+    with pytest.raises(InputError, match="7_CalInertialAndMag"):
+        read_record(tmp_path)
+
+
+def test_shipped_maps_name_a_maker_and_recognise_no_table_of_undrift(tmp_path):
+    head = b"time_s,gyro_x_dps,gyro_y_dps,gyro_z_dps\n0,1,2,3\n"
+    for name, dialect in dialects().items():
+        assert dialect.maker, name
+        assert not dialect.recognises(tmp_path, head), name
+
+
+# ---- poses and markers in text
+
+STO = ("makers", "opensim_sto_mot", "myComplexTasksTrial_orientations.sto")
+IMUS = "pelvis_imu, tibia_r_imu, femur_r_imu, tibia_l_imu, femur_l_imu, calcn_l_imu, calcn_r_imu"
+
+
+# ---- OpenSim
+
+
+def test_one_sensor_of_an_opensense_table_is_a_reference():
+    path = data_path(*STO)
+    poses = read_reference(path, labels=["femur_r_imu"])
+    assert (len(poses), poses.sample_rate_hz, poses.name) == (6, pytest.approx(100.0), f"{path.name} femur_r_imu")
+    np.testing.assert_allclose(
+        poses.q_nb[0], [0.5452838971693046, 0.6582951337533763, 0.3496155891730705, 0.3835126180083864]
+    )
+    np.testing.assert_allclose(poses.time, 0.01 * np.arange(6))
+    found = describe(path)
+    assert (found.kind, found.columns, found.rows) == ("reference", tuple(IMUS.split(", ")), 6)
+    assert "of each of 7 bodies" in found.summary
+
+
+def test_a_laboratory_with_y_up_is_turned_level():
+    path = data_path(*STO)
+    z_up, y_up = (read_reference(path, labels=["pelvis_imu"], up=up) for up in ("z", "y"))
+    np.testing.assert_allclose(
+        rotate(y_up.q_nb, np.eye(3)[0]), rotate(z_up.q_nb, np.eye(3)[0])[:, [0, 2, 1]] * [1, -1, 1]
+    )
+
+
+def test_an_opensense_table_wants_the_name_of_one_sensor():
+    with pytest.raises(InputError, match=rf"expected the name of one body, got none. The file contains {IMUS}"):
+        read_reference(data_path(*STO))
+    with pytest.raises(InputError, match="expected the name of one body, got 'torso'"):
+        read_reference(data_path(*STO), labels=["torso"])
+    with pytest.raises(InputError, match="expected the name of one body, got a, b"):
+        read_reference(data_path(*STO), labels=["a", "b"])
+    with pytest.raises(FileFormatError, match="expected a recording, got orientations"):
+        read_record(data_path(*STO))
+
+
+# ---- makers' tables
+
+
+def test_quaternions_of_a_maker_are_read_with_the_map_that_info_proposes(tmp_path):
+    path = data_path("makers", "xsens_dot", "LFemur_20210820_202113_831.csv")
+    proposed = describe(path)
+    assert (proposed.kind, "orientations" in proposed.summary) == ("table", True)
+    (tmp_path / "map.toml").write_text(proposed.proposal.text(proposed.path))
+    poses = read_reference(path, read_reference_map(tmp_path / "map.toml"))
+    assert len(poses) == 195
+    assert poses.time[-1] == pytest.approx(351 / 60.0)  # the counter shows the 157 of 352 packets that were lost
+
+
+def test_quaternions_beside_readings_of_a_maker_are_read_with_a_map():
+    path = data_path("makers", "xsens_mtmanager", "skin_data_xsens.txt")
+    layout = TextLayout(delimiter="\t", skip_rows=5, header=False)  # rows end with a tab that the header lacks
+    poses = read_reference(path, reference_map(quaternion=(10, 11, 12, 13), sample_rate_hz=50.0, layout=layout))
+    level = rotate(poses.q_nb, read_record(path).accel).mean(axis=0)
+    np.testing.assert_allclose(level, [-0.06, -0.03, 9.75], atol=0.006)  # SOURCE.md

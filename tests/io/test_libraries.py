@@ -2,10 +2,13 @@
 
 import struct
 import sys
+import zipfile
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
+import undrift
 from testkit.column_maps import column_map
 from testkit.data import data_path
 from undrift.errors import FileFormatError, InputError
@@ -79,15 +82,6 @@ def test_an_xdf_stream_with_labels_and_units_needs_no_map(tmp_path):
     assert (record.accel[2].tolist(), record.gyro[2].tolist(), record.temp_c[2]) == ([2, 3, 4], [5, 6, 7], 8)
     named = column_map(time="time_s", time_unit="s", accel=tuple(f"acc_{a}" for a in "xyz"), accel_unit="g")
     assert read_record(path, named).accel_unit == "g"  # a map overrules
-
-
-def test_xdf_streams_are_told_apart_by_name_and_number(tmp_path):
-    path = xdf(tmp_path / "a.xdf", [("IMU", IMU, 1.6e9), ("IMU", IMU, 1.6e9), ("Slow", IMU[:3], 0.0)])
-    assert describe(path).columns == ("IMU#1", "IMU#2", "Slow")
-    read = read_counted(path, sensor("IMU#2"))
-    assert read.record.time[0] == 0.0
-    assert read.notes[0] == "time 0 is 1600000000.000 s of the file's clock (Unix time)"
-    assert read_record(path, sensor("Slow")).gyro is None
 
 
 # ---- ROS: figures of makers/ros_bag_imu/SOURCE.md
@@ -195,41 +189,6 @@ def test_each_imu_of_a_ulog_has_its_own_readings_and_temperature(number, size, t
     assert float(np.median(record.temp_c)) == pytest.approx(temp_c, abs=0.25)  # it drifts 0.3 K in the log
 
 
-def ulog(path, topics):
-    """Write a log of (topic, instance, fields, rows); the first field is the time stamp, us."""
-
-    def message(kind, body):
-        return struct.pack("<HB", len(body), ord(kind)) + body
-
-    out = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0)
-    for name in dict.fromkeys(name for name, *_ in topics):
-        fields = next(fields for other, _, fields, _ in topics if other == name)
-        typed = ";".join(f"{'uint64_t' if f.startswith('timestamp') else 'float'} {f}" for f in fields)
-        out += message("F", f"{name}:{typed};".encode())
-    for k, (name, instance, _, _) in enumerate(topics):
-        out += message("A", struct.pack("<BH", instance, k) + name.encode())
-    for k, (_, _, fields, rows) in enumerate(topics):
-        layout = "<H" + "".join("Q" if f.startswith("timestamp") else "f" for f in fields)
-        out += b"".join(message("D", struct.pack(layout, k, *row)) for row in rows)
-    path.write_bytes(out)
-    return path
-
-
-def test_an_accelerometer_with_other_stamps_is_interpolated_and_that_is_said(tmp_path):
-    fields = ["timestamp", "timestamp_sample", "x", "y", "z"]
-    gyro = [(1000 * k + 9, 1000 * k, 0.1, 0.2, 0.3) for k in range(10)]
-    accel = [(1000 * k + 500, 1000 * k + 500, k, 0.0, -9.8) for k in range(10)]
-    path = ulog(tmp_path / "a.ulg", [("sensor_gyro", 0, fields, gyro), ("sensor_accel", 0, fields, accel)])
-    read = read_counted(path)
-    assert read.record.time[:3] == pytest.approx([0, 0.001, 0.002])
-    assert read.record.accel[1:4, 0] == pytest.approx([0.5, 1.5, 2.5])
-    assert read.record.gyro[0] == pytest.approx((0.1, 0.2, 0.3))
-    assert read.record.temp_c is None
-    assert "accel interpolated onto the gyroscope's time stamps" in read.notes
-    alone = read_counted(ulog(tmp_path / "b.ulg", [("sensor_accel", 3, fields, accel)]))
-    assert (alone.record.gyro, alone.record.accel[2, 0], len(alone.notes)) == (None, 2.0, 2)
-
-
 def test_a_log_that_lost_its_end_is_read_as_far_as_it_is_whole_when_that_is_asked_for(tmp_path):
     content = data_path(*LOG).read_bytes()
     (tmp_path / "a.ulg").write_bytes(content[: len(content) // 2])
@@ -315,3 +274,120 @@ def test_a_library_that_is_missing_is_named_with_its_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyulog", None)
     with pytest.raises(InputError, match=r"pip install 'undrift\[formats\]'"):
         read_record(data_path(*LOG))
+
+
+# ---- axivity, GENEActiv and ActiGraph binaries
+
+WHOLE = ColumnMap(drop_bad_rows=True)
+
+
+def at_rest(accel, values, size=200):
+    """Return the mean over the `size` samples in a row in which the accelerometer varies least."""
+    spread = [accel[k : k + size].std(axis=0).sum() for k in range(0, len(accel) - size, size // 4)]
+    start = int(np.argmin(spread)) * (size // 4)
+    return values[start : start + size].mean(axis=0)
+
+
+# ---- Axivity: figures of makers/axivity_cwa/SOURCE.md
+
+
+def test_an_ax3_reads_its_17400_samples():
+    read = read_counted(data_path("makers", "axivity_cwa", "ax3_testfile.cwa"))
+    record = read.record
+    assert (len(record), record.device, record.accel_unit, record.gyro) == (17400, "AX3 39434", "g", None)
+    assert (len(record) - 1) / record.duration_s == pytest.approx(98.87, abs=0.02)  # effective; SOURCE rounds the ends
+    assert np.linalg.norm(at_rest(record.accel, record.accel)) == pytest.approx(0.988, abs=0.001)
+    assert (record.temp_c.min(), record.temp_c.max()) == pytest.approx((25.59, 26.46), abs=0.005)
+    assert np.diff(record.time).max() < 0.0103  # no gap
+    assert read.notes[0].startswith("time 0 is 2019-02-26T10:55:06.000 by the logger's clock")
+
+
+def test_an_ax6_reads_its_gyroscope_too():
+    record = read_record(data_path("wearable_formats", "ggirread_ax6_testfile.cwa"))
+    assert (len(record), record.device, record.gyro_unit) == (11320, "AX6 6011834", "dps")  # 91 * 65536 + 48058
+    assert (len(record) - 1) / record.duration_s == pytest.approx(99.04, abs=0.02)
+    assert at_rest(record.accel, record.gyro) == pytest.approx(
+        (-0.07, 1.08, 0.11), abs=0.05
+    )  # SOURCE does not say which seconds
+    assert np.linalg.norm(at_rest(record.accel, record.accel)) == pytest.approx(1.0106, abs=0.01)
+    assert (record.temp_c.min(), record.temp_c.max()) == pytest.approx((27.05, 28.22), abs=0.005)
+
+
+def test_a_cut_cwa_file_is_refused_or_read_to_its_last_whole_sector(tmp_path):
+    whole = data_path("makers", "axivity_cwa", "ax3_testfile.cwa").read_bytes()
+    (tmp_path / "a.cwa").write_bytes(whole[: 1024 + 512 * 10 + 100])
+    with pytest.raises(FileFormatError, match="ends within a sector"):
+        read_record(tmp_path / "a.cwa")
+    assert len(read_record(tmp_path / "a.cwa", WHOLE)) == 1200
+
+
+# ---- GENEActiv: figures of makers/geneactiv_bin/SOURCE.md
+
+
+def test_a_geneactiv_reads_its_900_samples():
+    record = read_record(data_path("makers", "geneactiv_bin", "gnactv_sample.bin"))
+    assert (len(record), record.device, record.accel_unit) == (900, "GENEActiv 051386", "g")
+    assert record.sample_rate_hz == pytest.approx(50.0)
+    np.testing.assert_allclose(np.diff(record.time), 0.02, rtol=1e-6)
+    assert np.median(np.linalg.norm(record.accel, axis=1)) == pytest.approx(1.003, abs=0.0005)
+    assert (record.temp_c.min(), record.temp_c.max()) == pytest.approx((28.1, 29.1), abs=1e-4)
+    # the first words of the first page, F22 027 00B, by the header's gains and offsets
+    assert record.accel[0] == pytest.approx(
+        [(-222 * 100 - 272) / 25522, (39 * 100 + 1129) / 25457, (11 * 100 - 101) / 24829], rel=1e-5
+    )
+
+
+def test_a_cut_geneactiv_file_is_refused_or_read_as_far_as_it_goes():
+    path = data_path("makers", "geneactiv_bin", "GENEActiv_testfile.bin")
+    with pytest.raises(FileFormatError, match="222048 pages are missing"):
+        read_record(path)
+    record = read_record(path, WHOLE)
+    assert len(record) >= 4800
+    assert record.sample_rate_hz == pytest.approx(85.7, rel=1e-3)
+
+
+# ---- ActiGraph: records after the maker's documents
+
+EXAMPLE = bytes.fromhex("006008EBD007009EBF007008EBF0")  # activity.bin.md: three samples
+SAMPLES_LOGGERS = np.array([[8, 6, -323], [9, 7, -321], [8, 7, -321]]) / 341.0  # x, y, z
+
+
+SCALE = 9 << 24 | 341 << 14  # ACCEL_SCALE: 341/512 of 2^9 counts/g, a fraction of 24 bits and an exponent of 8
+
+
+def entry(kind, payload, when=1_000):
+    body = struct.pack("<BBIH", 0x1E, kind, when, len(payload)) + payload
+    return body + bytes([0xFF ^ int(np.bitwise_xor.reduce(np.frombuffer(body, np.uint8)))])
+
+
+def test_the_log_of_a_gt3x_reads_its_accelerometer(tmp_path):
+    path = tmp_path / "a.gt3x"
+    with zipfile.ZipFile(path, "w") as held:
+        held.writestr("info.txt", "Serial Number: NEO1\r\nSample Rate: 30\r\n")
+        scale = entry(21, struct.pack("<HHI", 0, 55, SCALE))
+        held.writestr("log.bin", scale + entry(0, EXAMPLE))
+    assert detect(path) == "gt3x"
+    record = read_record(path)
+    assert record.device.endswith("NEO1")
+    np.testing.assert_allclose(record.accel, SAMPLES_LOGGERS, atol=2e-3)  # actfast rounds to 0.001 g
+
+
+# ---- mATLAB files
+
+MAP = column_map(gyro=("w",), gyro_unit="dps", accel=("a",), accel_unit="g", time="t", time_unit="s")
+
+
+def test_arrays_with_time_along_their_columns_are_turned(tmp_path):
+    rng = np.random.default_rng(4)
+    w, a, t = rng.normal(size=(3, 50)), rng.normal(size=(3, 50)), np.arange(50)[None] / 10
+    savemat(tmp_path / "a.mat", {"w": w, "a": a, "t": t})
+    record = undrift.read_record(tmp_path / "a.mat", MAP)
+    np.testing.assert_array_equal(record.gyro, w.T)
+    np.testing.assert_array_equal(record.accel, a.T)
+
+
+def test_poses_with_time_along_their_columns_are_turned(tmp_path):
+    q = np.tile([[1.0], [0.0], [0.0], [0.0]], 40)
+    names = dict(zip(("q_w", "q_x", "q_y", "q_z"), q, strict=True))
+    savemat(tmp_path / "a.mat", {"time_s": np.arange(40)[None] / 10, **names})
+    assert len(undrift.read_reference(tmp_path / "a.mat")) == 40

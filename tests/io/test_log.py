@@ -1,4 +1,4 @@
-"""Logs of serial ports: thirty shapes that firmware prints are read right, or with the one question that they leave open."""
+"""Logs of serial ports: the shapes that firmware prints are read right, or with the one question that they leave open."""
 
 import json
 

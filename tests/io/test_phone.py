@@ -44,7 +44,7 @@ def test_sensor_logger_reads_specific_force_whatever_the_platform_and_states_uni
     unsure = name.startswith("Total") and not stated
     assert any("sign of acceleration" in note for note in read.notes) == unsure
     assert any("acceleration multiplied by -1" in note for note in read.notes) == (sign < 0.0)
-    assert any("sign of acceleration" in line for line in describe(tmp_path / name).lines()) == unsure
+    assert any("sign of acceleration" in item.text for item in describe(tmp_path / name).findings) == unsure
 
 
 def test_a_sensor_logger_file_that_contradicts_its_metadata_is_refused(tmp_path):

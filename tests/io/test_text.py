@@ -206,21 +206,16 @@ def test_time_that_goes_back_is_repaired_on_request_and_counted(tmp_path):
 BAD = [
     ("text", table([*rows(), "0.080,0.1,abc,1.0"]), FileFormatError, "column 'y': expected numbers, got 'abc' in data row 9"),
     ("short row", table([*rows(), "0.080,0.1"]), FileFormatError, "4 columns in every row, got 2 in data row 9"),
-    ("long row", table([rows()[0], "0.01,1,2,3,4,5"]), FileFormatError, "4 columns in every row, got 6 in data row 2"),
     (
         "wild value", table([*rows(), "0.080,1e9,0,1"]), FileFormatError,
         "expected readings up to 2000 g, got 1e\\+09 in data row 9",
     ),
-    ("infinity", table([*rows(), "0.080,inf,0,1"]), FileFormatError, "got inf in data row 9"),
     ("wrong column", table(rows(), "t,x,y,q"), InputError, "column 'z', got 't', 'x', 'y', 'q'"),
-    ("two of a name", table(rows(), "t,x,z,z"), InputError, "column 'y'"),
     ("doubled name", table([f"{r},1" for r in rows()], "t,x,y,z,z"), InputError, "expected one column 'z', got 2"),
     ("empty file", "", FileFormatError, "got an empty file"),
     ("header only", "t,x,y,z\n", FileFormatError, "expected two rows or more, got 0"),
-    ("one row", table(rows(1)), FileFormatError, "expected two rows or more, got 1"),
     ("no time", table(["0,1,2,3", ",1,2,3", "2,1,2,3"]), InputError, "time column 't': .* got 1 empty or NaN cells"),
     ("text time", table(["0,1,2,3", "noon,1,2,3"]), FileFormatError, "column 't': expected numbers, got 'noon' in data row 2"),
-    ("empty column", table(["0,1,,3", "1,1,,3"]), InputError, "column 'y': .* got 2 empty"),
     (
         "not utf-8", "t,x,y,z\xb0\n0,1,2,3\n".encode("latin-1"), FileFormatError,
         "expected UTF-8 text, got byte 0xb0 in the header",

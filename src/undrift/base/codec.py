@@ -85,42 +85,29 @@ class Number:
 
 
 @dataclass(frozen=True, slots=True)
-class TableRows:
-    """Mark of a tuple of tuples of str that is a list of tables: the names of their keys."""
+class Pairs:
+    """Mark of a tuple of pairs of str: a list of tables with two keys in a file, or one table without keys."""
 
-    names: tuple[str, ...]
+    keys: tuple[str, ...] = ()
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         from pydantic_core import core_schema as cs
 
-        keys = {name: cs.typed_dict_field(cs.str_schema()) for name in self.names}
+        if not self.keys:
+            table = cs.dict_schema(cs.str_schema(), cs.str_schema())
+            return cs.no_info_after_validator_function(lambda table: tuple(table.items()), table)
+        keys = {name: cs.typed_dict_field(cs.str_schema()) for name in self.keys}
         row = cs.typed_dict_schema(keys, extra_behavior="forbid", config={"title": "row"})
         return cs.no_info_after_validator_function(
-            lambda rows: tuple(tuple(row[name] for name in self.names) for row in rows), cs.list_schema(row)
+            lambda rows: tuple(tuple(row[name] for name in self.keys) for row in rows), cs.list_schema(row)
         )
 
-    def tree(self, rows: Sequence[Sequence[str]]) -> list[Tree]:
-        """Return the list of tables."""
-        return [dict(zip(self.names, row, strict=True)) for row in rows]
-
-
-@dataclass(frozen=True, slots=True)
-class Named:
-    """Mark of pairs of str that are one table, by their names."""
-
-    what: str  # For errors
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
-        from pydantic_core import core_schema as cs
-
-        table = cs.dict_schema(cs.str_schema(), cs.str_schema())
-        return cs.no_info_after_validator_function(lambda table: tuple(table.items()), table)
-
-    def tree(self, pairs: Sequence[tuple[str, str]]) -> dict[str, str]:
-        """Return the table."""
-        table = dict(pairs)
-        if len(table) != len(pairs):
-            raise InputError(f"expected each of the {self.what} once, got a name twice. Rename one of them.")
+    def tree(self, pairs: Sequence[tuple[str, str]]) -> list[Tree] | Tree:
+        """Return the list of tables, or the table."""
+        if self.keys:
+            return [dict(zip(self.keys, pair, strict=True)) for pair in pairs]
+        if len(table := dict(pairs)) != len(pairs):
+            raise InputError(f"expected each name once, got a name twice in {', '.join(name for name, _ in pairs)}.")
         return table
 
 
@@ -394,7 +381,7 @@ def tree_by_keys(value: Any) -> Tree:
 def _encode(value: Any, slot: Slot) -> Any:
     if value is not None:
         for mark in get_args(slot.hint)[1:]:
-            if isinstance(mark, TableRows | Named):
+            if isinstance(mark, Pairs):
                 return mark.tree(value)
     return _convert(tree_of(value), slot.key.unit)
 

@@ -1,8 +1,10 @@
 """``undrift sample``: the recordings that come with the package, to try undrift with."""
 
+import shutil
+from importlib.resources import as_file, files
 from pathlib import Path
 
-from undrift.io.sample import write_sample
+from undrift.files import new_folder
 from undrift.report import Report
 
 
@@ -15,7 +17,9 @@ def sample(folder: Path = Path("sample"), /) -> Report:
     folder : Path
         A new folder.
     """
-    write_sample(folder)
+    with new_folder(folder) as draft, as_file(files("undrift").joinpath("sample_data")) as source:
+        ignored = shutil.ignore_patterns("*.pyc", "__pycache__")
+        shutil.copytree(source, draft, ignore=ignored, copy_function=shutil.copyfile)
     return Report(
         title="Recordings to try",
         answer="These recordings of a simulated device are for trying undrift.",

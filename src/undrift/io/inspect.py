@@ -265,14 +265,6 @@ class Description:
         """The findings as texts, but how the file was read."""
         return tuple(_told(item) for item in self.findings if item.code != "recording.how_read")
 
-    def lines(self) -> tuple[str, ...]:
-        """Return every finding as a line that names its kind: how the file was read, a note, or a problem."""
-        return tuple(
-            f"{'read' if item.code == 'recording.how_read' else 'note' if item.level == 'info' else 'problem'}: {_told(item)}"
-            for item in self.findings
-            if item.text != self.summary
-        )
-
 
 def _told(item: Finding) -> str:
     """Return the text of a finding, with the recording of a session that it is about."""
