@@ -10,7 +10,7 @@ from testkit import doc_pages as pages
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
-FOR_DEVELOPERS = {"flow.md", "motions.md", "poses.md", "scale.md", "developers.md"}
+FOR_DEVELOPERS = {"flow.md", "motions.md", "poses.md", "developers.md"}
 PAGES = [ROOT / "README.md", *(page for page in sorted(DOCS.glob("*.md")) if page.name not in FOR_DEVELOPERS)]
 WITHOUT_BLOCKS = {
     "index.md",
