@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
 
@@ -260,6 +261,10 @@ def _parse(path: Path) -> tuple[Any, Any, FloatArray, FloatArray]:
 
     The library runs in a process of its own, because a damaged file can crash it or keep it busy without end.
     """
+    if find_spec("ezc3d") is None:
+        raise InputError(
+            f"{path}: C3D files need the package ezc3d, which is not installed. Run pip install ezc3d, or export TRC."
+        )
     content = read_bytes(path)
     analogs, plain = _check_size(content, path), path
     with tempfile.TemporaryDirectory() as folder:
