@@ -264,7 +264,7 @@ def label_of(name: str, unit: str = "", assumed: Mapping[str, str] | None = None
         fits = [other for other in ("gyro", "accel", "mag") if unit_for(unit, other) and (other, unit) != ("mag", "g")]
         channel = fits[0] if len(fits) == 1 else None
     if channel == "time" and stem.strip() == "T" and not unit:
-        return None  # a temperature as often as a time
+        return None  # it names a temperature as often as a time
     if channel == "time" and unit and not unit_for(unit, "time") and unit_for(unit, "temp"):
         channel = "temp"  # "T" in degC
     if channel is None or (not axis and channel not in ("time", "temp")):

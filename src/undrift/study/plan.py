@@ -82,7 +82,7 @@ class StudyTask:
     name: str  # sit_to_stand, step, posturography or free (any word for recorded people)
     category: str = DEFAULT  # of the people who perform it
     motion: RecordedPeople | None = None  # recorded people in place of the library's task
-    around: NoteNumbers | None = None  # numbers around which others are tried
+    around: NoteNumbers | None = None  # the note's numbers; others are tried around them
     values: tuple[tuple[Parameter, tuple[float, ...]], ...] = ()  # values to try, one parameter at a time
 
     @property

@@ -585,6 +585,6 @@ def _tilt_uncertainty(rest: Record | None, calibration: Calibration, prior: Erro
         return prior.pose
     if calibration.accel is None or np.isnan(rest.accel).any():
         return prior.tilt
-    # recordings that a calibration is judged by share its temperature and time
+    # the calibration is judged at its own temperature and soon after it
     parts = dict(initial_tilt(rest, Still(start=0, stop=len(rest))).parts)
     return math.hypot(math.hypot(parts["scatter"], parts.get("calibration", 0.0)) / math.sqrt(2.0), prior.pose)
