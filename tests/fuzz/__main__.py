@@ -1,49 +1,47 @@
 """Damage sound inputs and read them: ``python -m tests.fuzz [-n 20000] [-j JOBS] [--seed 1] [--first 0] [--cuts] [WORD ...]``.
 
-Every input is read in a worker with limits of memory (1 GB) and time; every tenth goes through `info` and `calibrate`, too. What is
+Every input is read in a process with limits of memory (1 GB) and time; every tenth goes through `info` and `calibrate` too. What is
 read of a damaged recording is compared with the sound one (oracle.py). Printed is, for each input, how many were equal, refused,
 read with a finding, and so on, and how many ended as they must not: SILENT, a crash, a hang, more than 1 GB, an error that is not
 undrift's, a file half written. Those are kept in build/fuzz/ as NUMBER-NAME; the same number and seed make the same input.
 A header that states something else for all rows, and that nothing in the file contradicts, is printed by itself. WORD selects
 inputs by name; with --cuts every input is cut short instead, a small one at every point, a large one at some. The exit code is 1
-where one ended as it must not. A run that SIGTERM or Ctrl-C ends prints what it has, and where --first would go on.
+if one ended as it must not. A run that Ctrl-C ends prints what it has, and where --first would go on.
 """
 
 import argparse
 import multiprocessing as mp
 import os
 import random
-import shutil
-import signal
 import sys
 import tempfile
-import time
 from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from fuzz.inputs import BAD, Outcome, Seed, cut, cut_points, damaged, limit_memory, outcome, seeds
 from fuzz.oracle import KINDS
 
-HERE = Path(__file__).parent
 KEPT = Path("build", "fuzz")
-
-
 COMMANDS = 10  # of so many inputs one goes through the commands as well
+FORK = mp.get_context("fork")  # the inputs are prepared once, before there are workers
 
 
 @dataclass(frozen=True)
 class Plan:
     """Which input a number stands for."""
 
-    held: list[Seed]
+    inputs: list[Seed]
     start: int
-    cuts: list[tuple[int, int]]  # input and point; none where inputs are damaged at random
+    cuts: list[tuple[int, int]]  # input and point; empty if inputs are damaged at random
 
     def seed_of(self, number: int) -> Seed:
         """Return the sound input of a number."""
-        return self.held[self.cuts[number][0] if self.cuts else number % len(self.held)]
+        return self.inputs[self.cuts[number][0] if self.cuts else number % len(self.inputs)]
 
     def content_of(self, number: int) -> bytes:
         """Return the damaged input of a number."""
@@ -53,18 +51,33 @@ class Plan:
         return damaged(seed.content, random.Random(f"{self.start} {number} {seed.name}"))
 
 
-def work(plan: Plan, todo: "mp.Queue[int]", done: "mp.Queue[tuple[int, int, Outcome | None]]") -> None:
-    """Read inputs until there are none; say which one begins before it does."""
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # of the terminal: the main process ends this one
+PLANS: list[Plan] = []  # the one of this run; workers inherit it
+
+
+def read_one(number: int, result: Connection) -> None:
+    """Read an input in a process of its own, and send what became of it."""
+    plan = PLANS[0]
     limit_memory(1.0)
-    while (number := todo.get()) >= 0:
-        done.put((os.getpid(), number, None))
-        folder = Path(tempfile.mkdtemp(prefix="fuzz-"))
-        commands = number // len(plan.held) % COMMANDS == 0 and not plan.cuts
-        found = outcome(plan.seed_of(number), plan.content_of(number), folder, commands=commands)
-        shutil.rmtree(folder)
-        done.put((os.getpid(), number, found))
+    commands = number // len(plan.inputs) % COMMANDS == 0 and not plan.cuts
+    with tempfile.TemporaryDirectory(prefix="fuzz-") as folder:
+        found = outcome(plan.seed_of(number), plan.content_of(number), Path(folder), commands=commands)
+    result.send(found)
+
+
+def guarded(number: int, limit_s: float) -> Outcome:
+    """Return what became of an input, also if its process crashes or hangs."""
+    near, far = FORK.Pipe(duplex=False)
+    process = FORK.Process(target=read_one, args=(number, far))
+    process.start()
+    far.close()
+    try:
+        return near.recv() if near.poll(limit_s) else Outcome("hang", f"no end within {limit_s:g} s")
+    except EOFError:
+        process.join()
+        return Outcome("crash", f"exit code {process.exitcode}")
+    finally:
+        process.kill()
+        process.join()
 
 
 def main() -> int:
@@ -77,82 +90,38 @@ def main() -> int:
     parser.add_argument("--limit-s", type=float, default=60.0)
     parser.add_argument("--cuts", action="store_true", help="cut inputs short")
     given = parser.parse_args()
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    held = [seed for seed in seeds() if not given.words or any(word in seed.name for word in given.words)]
-    points = [(k, at) for k, seed in enumerate(held) for at in cut_points(seed.content)] if given.cuts else []
-    plan = Plan(held, given.seed, points)
-    given.inputs = len(points) if given.cuts else given.inputs
-    for seed in held:  # once, before there are workers
+    inputs = [seed for seed in seeds() if not given.words or any(word in seed.name for word in given.words)]
+    cuts = [(k, at) for k, seed in enumerate(inputs) for at in cut_points(seed.content)] if given.cuts else []
+    plan = Plan(inputs, given.seed, cuts)
+    PLANS.append(plan)
+    for seed in inputs:  # once, before there are workers
         if seed.sound is not None:
             _ = seed.sound.place if seed.sound.is_text else seed.sound.anchors
-    todo: mp.Queue[int] = mp.Queue()
-    done: mp.Queue[tuple[int, int, Outcome | None]] = mp.Queue()
-    for number in [*range(given.first, given.first + given.inputs), *[-1] * given.jobs]:
-        todo.put(number)
-
-    def started() -> mp.Process:
-        worker = mp.Process(target=work, args=(plan, todo, done))
-        worker.start()
-        return worker
-
-    workers = [started() for _ in range(given.jobs)]
-    counts: dict[str, Counter[str]] = {seed.name: Counter() for seed in held}
-    open_: dict[int, tuple[int, float]] = {}
-    finished, shown = 0, time.monotonic()
-
-    def count(number: int, found: Outcome) -> None:
-        nonlocal finished
-        finished += 1
-        name = plan.seed_of(number).name
-        counts[name][found.kind] += 1
-        if found.kind in BAD:
-            KEPT.mkdir(parents=True, exist_ok=True)
-            (KEPT / f"{number}-{name}").write_bytes(plan.content_of(number))
-            print(f"{found.kind}: {KEPT / f'{number}-{name}'}: {found.text[:300]}", flush=True)
-        elif found.kind == "header value":
-            print(f"{found.kind}: {number}-{name}: {found.text[:200]}", flush=True)
-
-    try:
-        while finished < given.inputs:
-            try:
-                worker_id, number, found = done.get(timeout=1.0)
-            except Exception:  # noqa: BLE001 - nothing within a second
-                found = None
-            else:
-                if found is None:
-                    open_[worker_id] = (number, time.monotonic())
-                else:
-                    open_.pop(worker_id, None)
-                    count(number, found)
-            for k, worker in enumerate(workers):
-                begun = open_.get(worker.pid or 0)
-                if begun is None:
-                    continue
-                late = time.monotonic() - begun[1] > given.limit_s
-                if (late or not worker.is_alive()) and done.empty():
-                    worker.kill()
-                    worker.join()
-                    del open_[worker.pid or 0]
-                    count(begun[0], Outcome("hang" if late else "crash", f"exit code {worker.exitcode}"))
-                    workers[k] = started()
-            if time.monotonic() - shown > 10.0:
-                shown = time.monotonic()
-                print(f"{finished} of {given.inputs}", file=sys.stderr, flush=True)
-    except KeyboardInterrupt:
-        todo.cancel_join_thread()
-        print(f"ended early: --first {given.first + finished} -n {given.inputs - finished} goes on", flush=True)
-        for worker in workers:
-            worker.kill()
-    for worker in workers:
-        worker.join()
+    numbers = range(len(cuts)) if cuts else range(given.first, given.first + given.inputs)
+    counts: dict[str, Counter[str]] = {seed.name: Counter() for seed in inputs}
+    finished = 0
+    with ProcessPoolExecutor(given.jobs, mp_context=FORK) as pool:
+        try:
+            for number, found in zip(numbers, pool.map(partial(guarded, limit_s=given.limit_s), numbers), strict=True):
+                finished += 1
+                name = plan.seed_of(number).name
+                counts[name][found.kind] += 1
+                if found.kind in BAD:
+                    KEPT.mkdir(parents=True, exist_ok=True)
+                    (KEPT / f"{number}-{name}").write_bytes(plan.content_of(number))
+                if found.kind in BAD or found.kind == "header value":
+                    print(f"{found.kind}: {number}-{name}: {found.text[:300]}", flush=True)
+        except KeyboardInterrupt:
+            pool.shutdown(cancel_futures=True)
+            print(f"ended early: --first {numbers[0] + finished} -n {len(numbers) - finished} goes on", flush=True)
     kinds = ("read", *KINDS, *(kind for kind in BAD if kind not in KINDS))
     print(f"{'input':44}" + "".join(f"{kind:>13}" for kind in kinds))
     total: Counter[str] = Counter()
-    for name, found in counts.items():
-        total += found
-        print(f"{name[:43]:44}" + "".join(f"{found[kind]:13}" for kind in kinds))
+    for name, found_kinds in counts.items():
+        total += found_kinds
+        print(f"{name[:43]:44}" + "".join(f"{found_kinds[kind]:13}" for kind in kinds))
     print(f"{'all, ' + str(finished):44}" + "".join(f"{total[kind]:13}" for kind in kinds))
-    return 1 if finished < given.inputs or any(total[kind] for kind in BAD) else 0
+    return 1 if finished < len(numbers) or any(total[kind] for kind in BAD) else 0
 
 
 if __name__ == "__main__":

@@ -7,8 +7,6 @@ from contextlib import contextmanager, redirect_stderr, redirect_stdout
 
 import pytest
 
-WIDTHS = (60, 80, 120)  # columns
-
 
 class Terminal(io.StringIO):
     """A terminal that stores its text."""
