@@ -8,11 +8,17 @@ processors. The file is written after each study.
 import argparse
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 import undrift
+from undrift.arrays import FloatArray
 from undrift.base.workers import executor
 from undrift.sim.device.presets import PRESETS
 from undrift.study.case import EFFECTS
@@ -20,7 +26,7 @@ from undrift.study.methods import RIVALS, fit_rival
 from undrift.study.plan import SUBJECTS, Study, StudyTask, note_study
 from undrift.study.run import StudyDevice, with_checked_fits
 from undrift.study.sessions import SESSIONS, CalibrationSession
-from undrift.study.shipped import Fit, pack, shipped_fits, write_fits
+from undrift.study.shipped import ARRAYS, FILE, Fit, pack, shipped_fits
 
 SHORT_MIN = 60.0
 EFFECT_DEVICES = 10
@@ -57,6 +63,23 @@ def _fits(device: StudyDevice, sessions: Sequence[CalibrationSession]) -> dict[i
     wanted = {device.key(session): session for session in sessions if session.suits(device.model)}
     packed = {key: stored.get(key) or pack(device.fit(session)) for key, session in wanted.items()}
     return {key: values for key, values in packed.items() if values is not None}
+
+
+def write_fits(fits: Mapping[int, Fit], notes: Mapping[str, str], path: Path = FILE) -> None:
+    """Write fits by their key."""
+    columns = {"key": pa.array(sorted(fits), pa.uint64())}
+    for name, (shape, rounding) in ARRAYS.items():
+        arrays = [fits[key].get(name) for key in sorted(fits)]
+        rows = [None if array is None else _differences(array.reshape(shape), rounding) for array in arrays]
+        columns[name] = pa.array(rows, pa.list_(pa.float64()))
+    pq.write_table(pa.table(columns, metadata=dict(notes)), path, compression="zstd", compression_level=19)
+
+
+def _differences(array: FloatArray, rounding: float) -> FloatArray:
+    """Return the rounding step of an array, and the second differences of its rounded values along the first axis."""
+    step = rounding * float(np.abs(array).max()) or 1.0
+    counts = np.round(array / step)
+    return np.append(step, np.diff(counts, n=2, axis=0, prepend=np.zeros((2, *array.shape[1:]))))
 
 
 def main() -> int:

@@ -31,8 +31,6 @@ from undrift.sim.table_sessions import (
 )
 
 DPS, G = np.pi / 180.0, 9.80665
-
-
 PROTOCOL = Protocol(
     grid="paper",
     dwell_s=2.0,
@@ -41,17 +39,9 @@ PROTOCOL = Protocol(
     turn_rate_max=50.0 * DPS,
     turn_rate_step=20.0 * DPS,
 )
-
-
 LAID = lay_out(PROTOCOL)
-
-
 SESSIONS = LAID.chosen(REST, RATE)
-
-
 N = len(SESSIONS.kind)
-
-
 ROWS = np.arange(N)
 
 

@@ -25,8 +25,6 @@ from undrift.sim.thermal import (
 )
 
 SUDDEN = 1e9  # degC/min: the set-point jumps within a step
-
-
 AIR, BOARD, SET_POINT = 0, 2, 3  # columns of a chamber's states
 
 
@@ -60,11 +58,7 @@ def test_a_soaked_board_changes_by_less_than_the_limit_throughout_the_measuremen
 
 
 QUICK = ChamberSettings(ramp_rate_c_per_min=20.0, air_lag_s=5.0, board_lag_s=10.0, soak_hold_s=10.0)
-
-
 BENCH = BenchSettings(sample_rate_hz=50.0, still_s=2.0, move_s=1.0, turn_rates=(0.5, 1.5), dwell_s=1.0)
-
-
 SHORT = ThermalSettings(bench=BENCH, chamber=QUICK, set_points_c=(20.0, 35.0, 50.0))
 
 

@@ -11,7 +11,6 @@ from undrift.study.figure3 import (
 )
 
 pytestmark = pytest.mark.usefixtures("computed_once")
-
 NOTE_DIFFERENCE_DEG, NOTE_DECREASE_DEG = 0.15, 3.2
 
 

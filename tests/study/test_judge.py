@@ -17,10 +17,6 @@ FOODS = np.array(
 ).T
 
 
-# B. Winer, Statistical principles in experimental design, 4.2-1: reaction times of five people under four drugs.
-DRUGS = np.array([[30, 28, 16, 34], [14, 18, 10, 22], [24, 20, 18, 30], [38, 34, 20, 44], [26, 28, 14, 30]], float)
-
-
 def test_the_example_of_the_foods_comes_out_as_printed():
     found = repeated_measures_anova(FOODS)
     for name, value, printed in (("F", found.f, 3.79), ("epsilon", found.epsilon, 0.533), ("p", found.p_value, 0.063)):
@@ -43,29 +39,15 @@ def test_holm_by_hand():
 
 
 NUMBERS = NoteNumbers(cutoff_hz=11.1, turn_rate_step_dps=5.0, turn_rate_min_dps=5.0, turn_rate_max_dps=90.0)
-
-
 TASKS = (StudyTask(name="sit_to_stand"), StudyTask(name="step"))
-
-
 CHOSEN = ("hand", "three rates", "note")
-
-
 STUDY = Study(tasks=TASKS, sessions=tuple(SESSIONS[name] for name in CHOSEN), target_deg=(0.1, 0.5, 1.0))
 
 
 def run(task, subject, session, rms, role="session", **more):
     about = {"cutoff_hz": float("nan"), "excursion_k": 12.5, "offset": "rest"} | more
-    return Run(
-        task=task,
-        subject=subject,
-        session=session,
-        role=role,
-        rms_deg=rms,
-        real_time_deg=2.0 * rms,
-        largest_deg=3.0 * rms,
-        **about,
-    )
+    errors = {"rms_deg": rms, "real_time_deg": 2.0 * rms, "largest_deg": 3.0 * rms}
+    return Run(task=task, subject=subject, session=session, role=role, **errors, **about)
 
 
 def planted(means, count=40, role="session"):

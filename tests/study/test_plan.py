@@ -130,8 +130,6 @@ def test_a_unit_without_assumed_figures_keeps_the_draws_of_the_others():
 
 
 DEG = np.pi / 180.0
-
-
 FILE = Path("poses.parquet")
 
 

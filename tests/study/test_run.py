@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.ship_fits import write_fits
 
 from testkit.data import show
 from undrift import OrientSettings, correct, orient
@@ -17,11 +18,9 @@ from undrift.study.case import EFFECTS, device_without, make_case, pitch_delay_s
 from undrift.study.plan import Study, StudyTask
 from undrift.study.run import StudyDevice, run_chosen, with_checked_fits
 from undrift.study.sessions import ROOM_TEMP_C, SESSIONS
-from undrift.study.shipped import FILE, agree, pack, shipped_fits, unpack, write_fits
+from undrift.study.shipped import FILE, agree, pack, shipped_fits, unpack
 
 DEVICE = with_cutoff(preset("enc03j_3031"), 11.1)
-
-
 TASK = draw_task("sit_to_stand", rng=np.random.default_rng(5), rest_s=6.0)
 
 
@@ -93,11 +92,7 @@ def test_wrong_call_is_not_hidden(monkeypatch):
 
 
 STUDY = Study(tasks=(StudyTask(name="sit_to_stand"),), sessions=(SESSIONS["hand"],))
-
-
 HAND = SESSIONS["hand"]
-
-
 TEMP_C = np.arange(18.0, 75.5, 0.5)
 
 

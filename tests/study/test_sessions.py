@@ -38,19 +38,6 @@ def test_a_session_recovers_the_gyroscopes_at_its_temperature(name, fit):
     assert error < (0.06 if session.kind == "hand" else 0.01)  # an axis of a hand turn is off by 2 deg
 
 
-@pytest.mark.slow
-def test_two_set_points_follow_the_offset_over_temperature():
-    device = unit(2)
-    found = calibrate_by(SESSIONS["two set-points"], device, errors=NOTE_BENCH, streams=partial(stream, 0, "soak"))
-    table = found.drift.static
-    for temp_c in (25.0, 37.5):
-        true = true_calibration(device, temp_c=temp_c).gyro
-        row = np.array([np.interp(temp_c, table.temp_c, column) for column in table.gyro_offset.T])
-        error = np.abs(true.matrix @ (row - true.offset)).max() / DPS
-        show(f"offset at {temp_c} degC, deg/s", error)
-        assert error < 0.4  # hysteresis of this kind is up to 0.1, and a line is not its curve
-
-
 @pytest.mark.parametrize("fit", ["product", "paper"])
 def test_means_of_dwells_give_the_matrix_of_recordings(fit):
     device, session = unit(3), SESSIONS["three rates"]
@@ -76,17 +63,11 @@ def test_free_motion_stays_within_the_range_of_the_device():
 
 
 def test_a_session_states_its_minutes_instruments_and_commands():
-    rows = {name: (session.length_min, session.instruments) for name, session in SESSIONS.items()}
-    assert rows["hand"][1] == "none"
-    assert rows["hand"][0] < 5.0
-    assert rows["three rates"][1] == "rate table"
-    assert "chamber" in rows["note"][1]
-    assert rows["three rates"][0] < rows["note rates"][0] < rows["two set-points"][0] < rows["note"][0]
+    minutes = [SESSIONS[name].length_min for name in ("hand", "three rates", "note rates", "two set-points", "note")]
+    assert minutes == sorted(minutes)
+    assert [SESSIONS[name].instruments for name in ("hand", "note")] == ["none", "rate table, chamber"]
     commands = SESSIONS["note"].commands("mine")
     assert [words.split()[1] for words in commands] == ["rig", "calibrate", "drift"]
-    assert SESSIONS["hand"].commands("mine") == (
-        "undrift calibrate mine.csv --turn-deg 360 --gravity-m-s2 GRAVITY -o mine.json",
-    )
     assert "--from motion" in SESSIONS["motion"].commands("mine")[0]
 
 

@@ -74,11 +74,7 @@ def test_tables_that_cannot_be_are_refused():
 
 
 pytestmark = pytest.mark.usefixtures("computed_once")
-
-
 FORWARD = np.array([[1.012, 0.006, -0.004], [-0.005, 0.991, 0.007], [0.003, -0.006, 1.004]])
-
-
 DEVICE = Device(forward=FORWARD, offset=np.array([0.004, -0.003, 0.002]), lag_s=0.004, noise=1e-3)
 
 

@@ -12,24 +12,16 @@ from testkit.plain_triad import plain_triad
 from undrift.correction.motion import fit_motion
 from undrift.correction.rest import MOVED, RemainingOffset
 from undrift.frames import integrate_strapdown
-from undrift.record import ForceUncertainty, Record
+from undrift.record import Record
 from undrift.validation.expected import ErrorPrior, OffsetSource, Strapdown, expected_errors
 from undrift.validation.trial import compare_orientations
 
 NOTHING = ErrorPrior(
     matrix=0.0, motion_offset=0.0, rest_to_motion=0.0, day_to_day=0.0, tilt=0.0, mounting=0.0, pose=0.0
 )
-
-
 OTHER, SHOWN = OffsetSource(rest="other", in_motion=True), OffsetSource(rest="shown", in_motion=True)
-
-
 DEG = np.degrees(1.0)
-
-
 T = 40.0
-
-
 DRAWN = 100
 
 
@@ -159,14 +151,7 @@ def test_drawn_calibrations_err_as_often_as_their_intervals_say(source):
     record, reference = make_recording(rng, device, turn_s=20.0, sample_rate_hz=100.0, optics_hz=100.0)
     root = rng.normal(size=(12, 12)) * np.repeat((1e-3, 5e-4), (9, 3))[:, None] / np.sqrt(12.0)
     if source is SHOWN:
-        exact = ForceUncertainty(
-            covariance=np.zeros((12, 12)),
-            offset_temp_c=[0.0, 50.0],
-            matrix_temp_c=[0.0, 50.0],
-            per_k=np.zeros(2),
-            step=np.zeros(3),
-        )
-        record = replace(record, accel_uncertainty=exact)
+        record = replace(record, state="corrected")  # otherwise the matrix of a data sheet counts
         root[9:] = np.hstack((np.zeros((3, 9)), MOVED * np.eye(3)))
     truth = np.concatenate((np.linalg.inv(forward).ravel(), device.offset))
     true = integrate_strapdown((record.gyro - truth[9:]) @ truth[:9].reshape(3, 3).T, record.time, reference.q_nb[0])

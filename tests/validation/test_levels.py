@@ -29,14 +29,8 @@ from undrift.validation.levels import (
 from undrift.validation.trial import TrialSettings, validate_trial
 
 pytestmark = pytest.mark.usefixtures("computed_once")
-
-
 NODES_C, RATES = np.linspace(10.0, 50.0, 9), np.radians(np.linspace(-300.0, 300.0, 61))
-
-
 WARM_K = 12.5
-
-
 # In physical units, so that readings can be judged as they come; its offset moves by 0.4 deg/s in the 12.5 K of a wearer
 DEVICE = DeviceModel(
     serial="A",
@@ -50,15 +44,9 @@ DEVICE = DeviceModel(
         unit="m/s2", scale=Scale(nominal_sensitivity=1.0), white_noise=WhiteNoise(random_walk=np.full(3, 2e-3))
     ),
 )
-
-
 FULL = replace(true_calibration(DEVICE), drift=true_tables(DEVICE, NODES_C, RATES))
-
-
 # a thermometer that errs would shift the tables, which are the truth
 NOTE_DEVICE = replace(actual_device(preset("enc03j_3031"), ("g_sensitivity",)), thermometer=Thermometer())
-
-
 NOTE_FULL = replace(true_calibration(NOTE_DEVICE), drift=true_tables(NOTE_DEVICE, NODES_C, RATES))
 
 

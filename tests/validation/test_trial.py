@@ -81,8 +81,6 @@ def test_a_reversed_axis_is_a_reflection():
 
 
 pytestmark = pytest.mark.usefixtures("computed_once")
-
-
 FORWARD = np.array([[1.012, 0.006, -0.004], [-0.005, 0.991, 0.007], [0.003, -0.006, 1.004]])
 
 

@@ -169,10 +169,8 @@ class ThermalSettings:
     ramp_c: tuple[float, float] = (18.0, 75.0)  # set-points at the ends of a ramp up and back down, degC
     ramp_c_per_min: float = 1.0  # slope of the set-point in a ramp, degC/min
     ramp_hold_s: float = 600.0  # wait at the top of a ramp, and at the bottom in the end, s
-    warm_up_c: tuple[float, float] = (
-        10.7,
-        29.1,
-    )  # temperatures of a board that warms itself, at power-on and in the end, degC
+    # temperatures of a board that warms itself, at power-on and in the end, degC
+    warm_up_c: tuple[float, float] = (10.7, 29.1)
     warm_up_s: float = 2160.0  # duration of a warm-up, s
     power_on_s: float = 3600.0  # age of the device at the start of the programme, s (a warm-up starts at power-on)
 
@@ -294,8 +292,16 @@ def simulate_thermal_session(
     walks: dict[str, FloatArray] = {name: np.zeros(3) for name in ("gyro", "accel")}
     previous_s = 0.0
     for motion in legs:
-        walks = _walk_on(device, walks, float(motion.time[0]) - previous_s, rng)
-        simulated, first = _simulate_leg(motion, profile, _walked(device, walks), power_on_s, rng)
+        streams, gap_s = draw_streams(rng), max(float(motion.time[0]) - previous_s, 0.0)
+        for name in walks:  # they go on while nothing is recorded
+            effect = getattr(device, name).random_walk
+            if effect is not None:
+                steps = streams.of(f"{name}_walk").standard_normal(3)
+                walks[name] = walks[name] + steps * effect.bias_walk * np.sqrt(gap_s)
+        offsets: dict[str, Any] = {
+            name: getattr(device, name).shifted(walk) for name, walk in walks.items() if walk.any()
+        }
+        simulated, first = _simulate_leg(motion, profile, replace(device, **offsets), power_on_s, rng)
         walks = {name: walks[name] + getattr(simulated, name).of("random_walk")[-1] for name in walks}
         previous_s, true_time = float(motion.time[-1]), simulated.true_time
         readings = np.interp(true_time, profile.time, sensor_temp_c)
@@ -329,26 +335,6 @@ def _simulate_leg(
     plain = replace(device, thermometer=Thermometer())
     simulated = simulate_device(plain, motion, rng=rng, temp_c=temp_c, power_on_s=age_s)
     return simulated, int(np.searchsorted(simulated.true_time, start_s - 1e-3 * step_s))
-
-
-def _walk_on(
-    device: DeviceModel, walks: dict[str, FloatArray], gap_s: float, rng: np.random.Generator
-) -> dict[str, FloatArray]:
-    """Return the random walks of both triads after a time in which nothing was recorded, (3,) each."""
-    streams, after = draw_streams(rng), dict[str, FloatArray]()
-    for name, walk in walks.items():
-        effect = getattr(device, name).random_walk
-        after[name] = walk
-        if effect is not None:
-            steps = streams.of(f"{name}_walk").standard_normal(3)
-            after[name] = walk + steps * effect.bias_walk * np.sqrt(max(gap_s, 0.0))
-    return after
-
-
-def _walked(device: DeviceModel, walks: dict[str, FloatArray]) -> DeviceModel:
-    """Return the device with the walks that it has accumulated."""
-    chains = {name: getattr(device, name).shifted(walk) for name, walk in walks.items() if walk.any()}
-    return replace(device, **chains)
 
 
 def _placed(piece: Any, motion: Motion, true_time: FloatArray, offset: int) -> Any:

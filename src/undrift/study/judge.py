@@ -88,14 +88,12 @@ class SessionErrors:
     mean_deg: float
     interval_deg: tuple[float, float]  # 95 % interval of the mean
     quantile_deg: float  # 95 % of devices stay below
-    single_deg: tuple[
-        float, float
-    ]  # prediction interval of a further device, 95 % (or (n - 1) / (n + 1) with fewer than 39)
+    # prediction interval of a further device, 95 % (or (n - 1) / (n + 1) with fewer than 39)
+    single_deg: tuple[float, float]
     real_time_deg: float  # mean error against the true pitch of now
     failed: int  # devices that the session could not calibrate
-    against_best: (
-        PairedDifference | None
-    )  # this session compared with the session of the smallest mean (None for the latter)
+    # this session compared with the session of the smallest mean (None for the latter)
+    against_best: PairedDifference | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

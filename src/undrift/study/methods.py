@@ -118,9 +118,8 @@ def _by_known_forces(
         time=time, gravity_m_s2=STANDARD_GRAVITY, q_nb=level, rate_b=still, mean_rate_b=still, force_b=true,
         angular_acceleration_b=still, moving=np.zeros(len(true)),
     )  # fmt: skip
-    settled = replace(
-        device, accel=replace(device.accel, low_pass=None)
-    )  # without low-pass, because only settled readings are fitted
+    # without low-pass, because only settled readings are fitted
+    settled = replace(device, accel=replace(device.accel, low_pass=None))
     record = simulate_device(
         settled, motion, rng=streams(f"{rival} noise"), temp_c=ROOM_TEMP_C, power_on_s=SETTLED_S
     ).record

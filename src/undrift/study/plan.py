@@ -116,9 +116,8 @@ class Frame:
     name: str = ""
     device: str = DEVICE  # a preset, of which every subject wears a unit of its own, or the path of a device.json
     subjects: Annotated[int, Ge(3)] = SUBJECTS  # least number of people
-    subjects_max: Annotated[int, Ge(3)] = (
-        SUBJECTS  # people are added up to here until the mean errors are known to margin / 4
-    )
+    # people are added up to here until the mean errors are known to margin / 4
+    subjects_max: Annotated[int, Ge(3)] = SUBJECTS
     group: Group = "simulation"  # simulation or testing, as in the note's Table 2
     # board temperature of the trials above the room, least and greatest, K
     excursion_k: tuple[float, float] = (10.0, 15.0)
@@ -148,6 +147,10 @@ class Study(Frame):
             raise InputError(
                 f"study: expected one or more tasks with different names, got {', '.join(keys) or 'none'}."
             )
+        categories = (*CATEGORIES, *dict(self.lab))
+        unknown = [task.category for task in self.tasks if task.category not in categories]
+        if unknown:
+            raise InputError(f"categories: expected some of {', '.join(categories)}, got '{unknown[0]}'.")
         if not names or len(set(names)) < len(names):
             raise InputError(f"study: expected one or more sessions, each once, got {', '.join(names) or 'none'}.")
         if not self.excursion_k[0] <= self.excursion_k[1]:
@@ -191,18 +194,16 @@ class Study(Frame):
 
 
 def with_categories(study: Study, categories: Sequence[str]) -> Study:
-    """Return a study in which each of several categories performs the simulated tasks. Recorded people have no category."""
-    known = (*CATEGORIES, *dict(study.lab))
-    unknown = [name for name in categories if name not in known]
-    if unknown or not categories or len(set(categories)) < len(categories):
-        raise InputError(
-            f"categories: expected some of {', '.join(known)}, each once, got {', '.join(unknown or categories)}."
-        )
-    tasks = list[StudyTask]()
-    for task in {task.name: task for task in study.tasks}.values():
-        is_simulated = task.motion is None and task.name != "free"
-        tasks += [replace(task, category=category) for category in categories] if is_simulated else [task]
-    return replace(study, tasks=tuple(tasks))
+    """Return a study in which each of several categories performs the simulated tasks."""
+    tasks = {task.name: task for task in study.tasks}.values()
+    return replace(study, tasks=tuple(crossed for task in tasks for crossed in _crossed(task, categories)))
+
+
+def _crossed(task: StudyTask, categories: Sequence[str]) -> tuple[StudyTask, ...]:
+    """Return a task performed by each category. Recorded people and free motion have no category."""
+    if task.motion is not None or task.name == "free":
+        return (task,)
+    return tuple(replace(task, category=category) for category in categories)
 
 
 # ---- the note's study
@@ -336,14 +337,12 @@ def read_study(path: str | Path) -> Study:
                 f"sessions: expected some of {', '.join(SESSIONS)}, got '{unknown[0]}'. Name a protocol in [[session]]."
             )
         sessions = (*(SESSIONS[name] for name in head.sessions), *custom_sessions)
-        plain = [_task(entry, folder) for entry in file.task]
-        lab = tuple(file.category.items())
-        study = Study(**frame, tasks=tuple(plain), sessions=sessions, lab=lab)
-        crossed = list[StudyTask]()
-        for task, entry in zip(plain, file.task, strict=True):
-            kinds = (entry.category,) if entry.category else head.categories
-            crossed += with_categories(replace(study, tasks=(task,)), kinds).tasks
-        return replace(study, tasks=tuple(crossed))
+        tasks = [
+            task
+            for entry in file.task
+            for task in _crossed(_task(entry, folder), (entry.category,) if entry.category else head.categories)
+        ]
+        return Study(**frame, tasks=tuple(tasks), sessions=sessions, lab=tuple(file.category.items()))
     except InputError as error:
         raise FileFormatError(f"{path}: {error}") from error
 

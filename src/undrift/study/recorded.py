@@ -9,7 +9,7 @@ accelerations as means over 0.25 s::
 """
 
 import csv
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -39,6 +39,8 @@ class Posed:
     # Or the segment that the device is worn on, found by its markers: pelvis (the device sits at L5) or trunk
     body: BodyName | None = None
     up: Literal["y", "z"] | None = None  # Laboratory axis that points up, for markers
+    rest_s: Positive | None = None  # rest at the start, s (by default it is detected, at most 6 s)
+    hold: bool = False  # hold the first pose for ``rest_s`` if a recording has no rest
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,8 +48,6 @@ class OwnMotion(Posed):
     """A recorded motion of a person."""
 
     path: str  # file of poses or markers, which the workers read
-    rest_s: float | None = None  # rest at the beginning, s (by default it is detected, at most 6 s)
-    hold: bool = False  # True to hold the first pose for ``rest_s``, if the recording has no rest
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,9 +71,8 @@ LONGEST_REST_S = 6.0  # longest rest, as in the note (the remaining recording co
 MOST_TURN_RATE = 5.0 * RADIAN_PER_DEGREE  # rad/s
 MOST_ACCELERATION = 0.3  # m/s2
 MOST_TILT_ERROR = 1.0 * RADIAN_PER_DEGREE  # rad
-SKIN = PoseSettings(
-    cutoff_hz=10.0, position_cutoff_hz=6.0
-)  # markers on skin do not follow the bone above these frequencies
+# markers on skin do not follow the bone above these frequencies
+SKIN = PoseSettings(cutoff_hz=10.0, position_cutoff_hz=6.0)
 
 
 def find_rest(spline: PoseSpline) -> BoolArray:
@@ -199,11 +198,8 @@ class MotionEntry(Posed):
 
     file: str = ""  # file of poses or markers, relative to study.toml
     folder: str = ""  # alternative: folder with one file per person
-    table: str = (
-        ""  # alternative: CSV table with columns file (relative to the table) and person (one or more files each)
-    )
-    rest_s: Positive | None = None  # rest at the start, s (by default it is detected, at most 6 s)
-    hold: bool = False  # hold the first pose for ``rest_s`` if a recording has no rest
+    # alternative: CSV table with columns file (relative to the table) and person (one or more files each)
+    table: str = ""
 
 
 def recorded_people(entry: MotionEntry, folder: Path) -> RecordedPeople:
@@ -222,13 +218,7 @@ def recorded_people(entry: MotionEntry, folder: Path) -> RecordedPeople:
         raise InputError(f"{path}: cannot read the {sources[0]} of recorded people ({error}).") from error
     if len(people) < 3 and not entry.file:
         raise InputError(f"{path}: at least three people are required, got {len(people)}. Record more people.")
-    how: dict[str, Any] = {
-        "markers": entry.markers,
-        "body": entry.body,
-        "up": entry.up,
-        "rest_s": entry.rest_s,
-        "hold": entry.hold,
-    }
+    how: dict[str, Any] = {item.name: getattr(entry, item.name) for item in fields(Posed)}
     trials = tuple(tuple(OwnMotion(path=str(file.resolve()), **how) for file in files) for files in people)
     for motion in (motion for person in trials for motion in person):
         read_motion(motion)

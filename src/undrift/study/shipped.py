@@ -136,23 +136,3 @@ def _read(row: dict[str, Any]) -> Fit:
     if "dynamic.error" in fit:
         fit["dynamic.error"] = fit["dynamic.error"].reshape(len(fit["dynamic.temp_c"]), -1, 3)
     return fit
-
-
-def write_fits(fits: Mapping[int, Fit], notes: Mapping[str, str], path: Path = FILE) -> None:
-    """Write fits by their key."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    columns = {"key": pa.array(sorted(fits), pa.uint64())}
-    for name, (shape, rounding) in ARRAYS.items():
-        arrays = [fits[key].get(name) for key in sorted(fits)]
-        rows = [None if array is None else _differences(array.reshape(shape), rounding) for array in arrays]
-        columns[name] = pa.array(rows, pa.list_(pa.float64()))
-    pq.write_table(pa.table(columns, metadata=dict(notes)), path, compression="zstd", compression_level=19)
-
-
-def _differences(array: FloatArray, rounding: float) -> FloatArray:
-    """Return the rounding step of an array, and the second differences of its rounded values along the first axis."""
-    step = rounding * float(np.abs(array).max()) or 1.0
-    counts = np.round(array / step)
-    return np.append(step, np.diff(counts, n=2, axis=0, prepend=np.zeros((2, *array.shape[1:]))))

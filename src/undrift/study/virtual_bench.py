@@ -16,11 +16,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray
+from undrift.arrays import FloatArray
 from undrift.calibration.calibrate import calibrate
 from undrift.drift.fit import DriftFit, fit_drift
 from undrift.errors import InputError
-from undrift.model import Calibration, DriftTables, TriadModel
+from undrift.model import Calibration
 from undrift.programme import Programme, ProgrammeSettings, Protocol, programme_of
 from undrift.record import FACES, Record, Reference, Session
 from undrift.rig.chamber import ChamberSetup
@@ -179,26 +179,29 @@ def compare_with_truth(fit: BenchFit, trials: tuple[Trial, ...], device: DeviceM
     """Compare the fits with the hidden truth, and the errors of the trial with each other."""
     estimate, true = fit.constant, true_calibration(device, temp_c=ROOM_TEMP_C)
     tables, observed = fit.drift.calibration.drift, fit.drift.static.gyro
-    if tables is None or tables.static is None or observed is None:
-        raise InputError("tables: no offsets over temperature. Run the thermal programme.")
+    triads = (estimate.gyro, estimate.accel, true.gyro, true.accel)
+    if tables is None or tables.static is None or observed is None or any(triad is None for triad in triads):
+        raise InputError("demo: a matrix or the offsets over temperature are missing. Run both programmes.")
     nodes = tables.static.temp_c
     covered = (nodes >= observed.span_c[0]) & (nodes <= observed.span_c[1])
     thermometer = device.thermometer  # settled: from its reading to the temperature of the board
     board = nodes[covered] - thermometer.trim_error_c - thermometer.self_heating_c
     warm = true_tables(device, board, np.array([-1.0, 0.0, 1.0]))
-    rows = []
-    for name, one, other in (("accelerometers", estimate.accel, true.accel), ("gyroscopes", estimate.gyro, true.gyro)):
-        if one is None or other is None:
-            raise InputError("matrix: the matrix of a triad is missing. Record faces and rates.")
+    matrices, offsets = list[Check](), list[Check]()
+    for name, triad, unit, limit in (
+        ("accelerometers", "accel", "mg", ACCEL_LIMIT_MG), ("gyroscopes", "gyro", "deg/s", GYRO_LIMIT_DPS),
+    ):  # fmt: skip
+        model, per_unit = getattr(estimate, triad), RADIAN_PER_DEGREE if triad == "gyro" else 1e-3 * STANDARD_GRAVITY
         text = f"{name}: matrix against the true one, largest element (1)"
-        rows.append(Check(text, _apart(one.matrix, other.matrix), MATRIX_LIMIT))
-    gyro = _offset_apart(estimate.gyro, tables, warm, covered) / RADIAN_PER_DEGREE
-    accel = _offset_apart(estimate.accel, tables, warm, covered) / STANDARD_GRAVITY * 1e3
-    rows.append(Check("gyroscopes: offset over temperature, largest error (deg/s)", gyro, GYRO_LIMIT_DPS))
-    rows.append(Check("accelerometers: offset over temperature, largest error (mg)", accel, ACCEL_LIMIT_MG))
-    scale, hidden = tables.scale, None if warm.scale is None else warm.scale.gyro_matrix
-    if scale is not None and scale.gyro_matrix is not None and hidden is not None:
-        difference = max(_apart(one, other) for one, other in zip(scale.gyro_matrix[covered], hidden, strict=True))
+        matrices.append(Check(text, _apart(model.matrix, getattr(true, triad).matrix), MATRIX_LIMIT))
+        table, hidden = (getattr(drift.static, f"{triad}_offset") for drift in (tables, warm))
+        error = float(np.abs((table[covered] - hidden) @ model.matrix.T).max()) / per_unit
+        offsets.insert(0, Check(f"{name}: offset over temperature, largest error ({unit})", error, limit))
+    rows = [*matrices, *offsets]
+    scale, hidden_scale = tables.scale, warm.scale
+    if scale is not None and scale.gyro_matrix is not None and hidden_scale is not None:
+        pairs = zip(scale.gyro_matrix[covered], np.asarray(hidden_scale.gyro_matrix), strict=True)
+        difference = max(_apart(*pair) for pair in pairs)
         rows.append(Check("gyroscopes: matrix over temperature, largest element (1)", difference, WARM_MATRIX_LIMIT))
     none, static, full = (trial.figures for trial in trials[:3])
     largest, what = none.max_abs_pitch_deg, "worn sit-to-stand, pitch against the optics"
@@ -206,15 +209,6 @@ def compare_with_truth(fit: BenchFit, trials: tuple[Trial, ...], device: DeviceM
     rows.append(Check(f"{what}, largest error, all tables (deg)", full.max_abs_pitch_deg, FULL_SHARE * largest))
     rows.append(Check(f"{what}, rms, all tables (deg)", full.rmse_pitch_deg, FULL_SHARE * none.rmse_pitch_deg))
     return tuple(rows)
-
-
-def _offset_apart(triad: TriadModel | None, estimate: DriftTables, true: DriftTables, covered: BoolArray) -> float:
-    """Return the largest error of an offset table, in the unit of the triad's output."""
-    name = "gyro_offset" if triad is not None and triad.unit_out == "rad/s" else "accel_offset"
-    table, hidden = (None if drift.static is None else getattr(drift.static, name) for drift in (estimate, true))
-    if triad is None or table is None or hidden is None:
-        raise InputError(f"tables: no {name} over temperature. Run the thermal programme.")
-    return float(np.abs((table[covered] - hidden) @ triad.matrix.T).max())
 
 
 def _apart(estimate: FloatArray, true: FloatArray) -> float:

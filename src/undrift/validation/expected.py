@@ -44,9 +44,8 @@ class ErrorPrior:
     motion_offset: float = MOVED_AGAIN  # offset in motion minus offset at rest, about its mean, rad/s
     rest_to_motion: float = 0.03 * RADIAN_PER_DEGREE  # the same difference, if the calibration has no fit of it, rad/s
     day_to_day: float = 0.01 * RADIAN_PER_DEGREE  # offset at rest, if the rest of the recording is not used, rad/s
-    tilt: float = (
-        0.15 * RADIAN_PER_DEGREE
-    )  # Start from an uncalibrated accelerometer against the reference, each axis, rad
+    # start from an uncalibrated accelerometer against the reference, each axis, rad
+    tilt: float = 0.15 * RADIAN_PER_DEGREE
     mounting: float = 0.1 * RADIAN_PER_DEGREE  # Device against the reference's body, each axis, rad
     pose: float = 0.1 * RADIAN_PER_DEGREE  # Pose of the reference, each axis, rad
 

@@ -37,8 +37,6 @@ from undrift.sim.device.effects import (
 )
 
 TIME = np.arange(101) / 100.0
-
-
 RAMP = np.linspace(-3.0, 3.0, 101)[:, None] * np.array([1.0, 0.5, -1.0])
 
 

@@ -20,8 +20,6 @@ from undrift.sim.device.truth import nominal_calibration, true_calibration, true
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 DPS = RADIAN_PER_DEGREE
-
-
 LIMIT_SD = 2.0
 
 

@@ -11,8 +11,6 @@ from undrift.sim.motion.bench import BenchSettings, bench_motion
 from undrift.sim.motion.motion import facing, unit_vector
 
 KINDS = ("six_face", "rate_table", "bench", "ferraris", "multi_position")
-
-
 FEW_RATES = (0.2, 1.0)
 
 

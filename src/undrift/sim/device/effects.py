@@ -212,9 +212,8 @@ class Offset(Effect):
     """Output at zero input."""
 
     constant: Triple = ZERO  # at the reference temperature, rad/s or m/s2
-    per_k: Powers = field(
-        default_factory=lambda: np.zeros((0, 3))
-    )  # coefficients of D, D^2, ..., rad/s or m/s2 per K^k
+    # coefficients of D, D^2, ..., rad/s or m/s2 per K^k
+    per_k: Powers = field(default_factory=lambda: np.zeros((0, 3)))
 
     def at(self, warmth: FloatArray | float) -> FloatArray:
         """Return the offset at a temperature above reference, K."""

@@ -151,13 +151,7 @@ def steady_rates(script: Script, settings: BenchSettings, streams: Streams) -> N
                 uneven = (ripple, azimuth, excess, table.settle_s)
                 wobbling = _off(table_axis, bearing.normal(0.0, table.wobble, 3))
                 script.spin(
-                    axis,
-                    true,
-                    settings.ramp_s,
-                    settings.dwell_s,
-                    axis_b=wobbling,
-                    stated_rate=label_rate,
-                    uneven=uneven,
+                    axis, wobbling, true, settings.ramp_s, settings.dwell_s, stated_rate=label_rate, uneven=uneven
                 )
                 azimuth += true * (settings.dwell_s + 0.5 * settings.ramp_s)
             if table.wobble > 0.0:

@@ -356,26 +356,23 @@ class Script:
     def spin(
         self,
         axis: Axis,
+        axis_b: FloatArray,
         turn_rate: float,
         ramp_s: float,
         dwell_s: float,
         *,
-        axis_b: FloatArray | None = None,
-        stated_rate: float | None = None,
-        uneven: tuple[float, float, float, float] | None = None,
+        stated_rate: float,
+        uneven: tuple[float, float, float, float],
     ) -> None:
-        """Add a ramp up, a dwell at a steady rate and a ramp down. The label of the dwell has the nominal axis and rate.
+        """Add a ramp up, a dwell at a rate about an axis (3,) and a ramp down. The label has the nominal axis and rate.
 
-        If axis_b (3,) is given, the case turns about this axis instead. `uneven` is (ripple, azimuth, excess, settle_s).
+        `uneven` is (ripple, azimuth, excess, settle_s).
         """
-        unit = unit_vector(axis) if axis_b is None else axis_b
         ramp, dwell = self._whole(ramp_s), self._whole(dwell_s)
-        steady = UnevenAngle(turn_rate, dwell, *uneven) if uneven else PolynomialAngle(0.0, turn_rate * dwell)
-        self._turn(ramp_s, unit, RAMP_UP.times(turn_rate * ramp))
-        start, stop = self._turn(dwell_s, unit, steady)
-        label_rate = turn_rate if stated_rate is None else stated_rate
-        self.turns.append(Turn(start=start + 1, stop=stop, axis=axis, turn_rate=label_rate))
-        self._turn(ramp_s, unit, RAMP_DOWN.times(turn_rate * ramp))
+        self._turn(ramp_s, axis_b, RAMP_UP.times(turn_rate * ramp))
+        start, stop = self._turn(dwell_s, axis_b, UnevenAngle(turn_rate, dwell, *uneven))
+        self.turns.append(Turn(start=start + 1, stop=stop, axis=axis, turn_rate=stated_rate))
+        self._turn(ramp_s, axis_b, RAMP_DOWN.times(turn_rate * ramp))
 
     def motion(self, gravity_m_s2: float) -> Motion:
         """Return the motion of the script."""

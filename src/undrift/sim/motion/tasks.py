@@ -47,7 +47,7 @@ import numpy as np
 from annotated_types import Gt
 
 from undrift.arrays import FloatArray
-from undrift.base.codec import Key, slots_of, stored, tree_of
+from undrift.base.codec import Key, slots_of, stored, tree_of, value_of
 from undrift.errors import InputError
 from undrift.frames import cross, quaternion_conjugate, quaternion_product, rotate
 from undrift.sim.device.simulate import Streams, draw_streams
@@ -195,12 +195,8 @@ class Category:
     most_dps: tuple[float, float, float] = (90.0, 45.0, 5.0)
     # mean, standard deviation, minimum and maximum (by default the last two are 2.5 standard deviations from the mean)
     rise_s: Spread = (2.3, 0.5, 1.5, 4.0)  # duration of sit-to-stand, s
-    turn: Annotated[Spread, Key("turn_share")] = (
-        0.40,
-        0.05,
-        0.3,
-        0.5,
-    )  # Instant at which the trunk turns back, of duration
+    # instant at which the trunk turns back, share of the duration
+    turn: Annotated[Spread, Key("turn_share")] = (0.40, 0.05, 0.3, 0.5)
     flexion_deg: Spread = (32.0, 7.0, 15.0, 50.0)  # At L5, deg
     sitting_deg: Spread = (5.0, 5.0, -10.0, 20.0)  # First pitch, deg
     standing_deg: Spread = (3.0, 3.0, -6.0, 12.0)  # last pitch, also for a step, deg
@@ -211,12 +207,8 @@ class Category:
     # Quiet stance, eyes closed on foam: rms of pitch, roll and yaw, deg
     sway_deg: tuple[Spread, Spread, Spread] = ((0.9, 0.3, 0.3, 1.8), (0.6, 0.2, 0.2, 1.2), (0.4, 0.1, 0.1, 0.8))
     upright_deg: Spread = (3.0, 2.0, -3.0, 9.0)  # Its pitch, deg
-    stiffness: Annotated[Spread, Key("stiffness_mgh")] = (
-        1.45,
-        0.08,
-        1.25,
-        1.6,
-    )  # In m g h: sets the spectrum, with the next
+    # stiffness in m g h, which sets the spectrum together with noise_s
+    stiffness: Annotated[Spread, Key("stiffness_mgh")] = (1.45, 0.08, 1.25, 1.6)
     noise_s: Annotated[float, Gt(0.0)] = 1.5  # Time constant of the torque's noise, s
 
     def __post_init__(self) -> None:
@@ -232,13 +224,8 @@ class Category:
                     )
 
 
-def _numbers(value: Any) -> Any:
-    return tuple(map(_numbers, value)) if isinstance(value, list) else value
-
-
-_NAMES = {slot.path[0]: slot.name for slot in slots_of(Category)}
 CATEGORIES: dict[CategoryName, Category] = {
-    cast(CategoryName, name): Category(**{_NAMES[key]: _numbers(value) for key, value in entry.items()})
+    cast(CategoryName, name): value_of(Category, entry, name)
     for name, entry in tomllib.loads(Path(__file__).with_name("categories.toml").read_text("utf-8")).items()
 }
 Kind: TypeAlias = CategoryName | Category  # by its name, or of a lab's own
@@ -503,9 +490,8 @@ def _knocks(who: Performance, share: float, instants_s: tuple[float, ...]) -> tu
 
 def _posturography(who: Performance, rest_s: float) -> Task:
     span = (rest_s, rest_s + POSTUROGRAPHY_S)
-    arm = (
-        0.54 * who.height
-    )  # [assumed] L5 at 0.58 and ankles at 0.04 of the height (the centre of the body is also there)
+    # [assumed] L5 at 0.58 and ankles at 0.04 of the height (the centre of the body is also there)
+    arm = 0.54 * who.height
     numbers = who.category
     older = 1.0 + 0.01 * who.older  # [assumed] sway rises by a per cent a year
     balance = Balance(centre_height=arm, kp=who.number("stance stiffness", *numbers.stiffness), noise_s=numbers.noise_s)
