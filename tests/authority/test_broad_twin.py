@@ -59,23 +59,16 @@ def test_delays_lever_arm_and_codes_are_those_of_the_data_set(device):
 
 @pytest.mark.slow
 def test_held_out_windows_differ_by_what_the_poses_are_worth():
-    medians, ends = [], []
+    medians = []
     for device in DEVICES:
         for t in compare_held_out(fitted(device), rng=np.random.default_rng(0)):
             three = " / ".join(f"{v:.2f}" for v in np.degrees(np.nanquantile(t.pitch, (0.5, 0.95, 1.0))))
-            at_end = np.degrees(np.median(t.end, axis=0))
             print(
-                f"  {t.recording}: {len(t.pitch)} windows of {t.window_s:g} s: pitch {three} (median / 95 % / "
-                f"max); at the end, median per axis {np.round(at_end, 3).tolist()} deg"
+                f"  {t.recording}: {len(t.pitch)} windows of {t.window_s:g} s: pitch {three} deg (median / 95 % / max)"
             )
             if t.window_s == 5.0:
                 medians.append(np.degrees(np.nanmedian(t.pitch)))
-                ends.append(at_end)
     show("5 s windows, largest pitch difference, median over trials, deg", f"{np.median(medians):.2f}", 0.45)
-    show(
-        "5 s windows, difference at the end, median per axis, deg", np.round(np.median(ends, axis=0), 3).tolist(), 0.15
-    )
     # Set with the figures in view (0.36 and 0.47): these guard against getting worse, for pitch within 60 deg of the plane only.
     assert np.median(medians) < 0.45
     assert max(medians) < 0.55
-    assert np.median(ends, axis=0).max() < 0.15

@@ -68,10 +68,3 @@ def test_it_slows_down_when_asked_and_coasts_to_rest_without_power():
         _, angles = servo.advance(3.0)
         assert np.ptp(angles[-100:]) == 0.0
         assert servo.reference()[1] == pytest.approx(0.0 if powered else RATE)
-
-
-def test_a_torque_beyond_the_supply_is_not_there():
-    weak = ServoSettings(supply_voltage=0.2, friction=1e-300)
-    _, times, angles = moved(weak)
-    fastest = np.diff(angles).max() / (times[1] - times[0])
-    assert fastest < weak.supply_voltage / weak.torque_constant * 1.01  # where the back voltage is the supply

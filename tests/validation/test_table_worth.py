@@ -60,9 +60,3 @@ def test_tables_that_add_nothing_are_called_so():
     none = replace(flat.drift.static, gyro_offset=np.zeros((5, 3)))
     found = expected_errors(replace(flat, drift=replace(flat.drift, static=none)), rest_variance=np.zeros(3))
     assert found.answer.startswith("These tables do not improve on the constant calibration")
-
-
-def test_without_gyroscope_tables_or_a_reference_there_is_nothing_to_say():
-    made = calibration()
-    assert expected_errors(replace(made, drift=None), rest_variance=np.zeros(3)) is None
-    assert expected_errors(replace(made, reference_temp_c=float("nan")), rest_variance=np.zeros(3)) is None

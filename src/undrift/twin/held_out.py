@@ -1,10 +1,9 @@
 """Comparison of the twin with the real device on a motion that was not used in the fit.
 
 The twin is fitted to the other recordings of the device. Its readings of the held-out motion and the real readings are corrected
-by the twin's matrix, each with its own offset, and integrated from the same orientation over every window. There are two results.
-The first is the largest difference of sagittal pitch in a window while the vertical is within 60 deg of the sagittal plane.
-(Beyond, pitch more than doubles a difference of tilt.) The second is the difference at the end of the window about each axis of
-the body.
+by the twin's matrix, each with its own offset, and integrated from the same orientation over every window. The result is the
+largest difference of sagittal pitch in a window while the vertical is within 60 deg of the sagittal plane. (Beyond, pitch more than
+doubles a difference of tilt.)
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -15,7 +14,7 @@ import numpy as np
 from undrift.arrays import FloatArray, IntArray, runs
 from undrift.calibration.codes import restored_gyro
 from undrift.errors import InputError
-from undrift.frames import integrate_strapdown, quaternion_conjugate, quaternion_product, rotate, rotation_vector
+from undrift.frames import integrate_strapdown, quaternion_conjugate, quaternion_product, rotate
 from undrift.orientation import sagittal_pitch
 from undrift.sim.device.effects import Adc, LeverArm, Offset, Sampling, Scale, SensorChain, WhiteNoise
 from undrift.sim.device.model import DeviceModel
@@ -79,7 +78,6 @@ class HeldOutTrial:
     recording: str
     window_s: float  # length of the windows
     pitch: FloatArray  # (W,), largest difference in each window, rad, or NaN if the vertical is never near the plane
-    end: FloatArray  # (W, 3), difference at the end about each axis of the body, rad
 
 
 def compare_held_out(
@@ -103,9 +101,8 @@ def compare_held_out(
         valid &= np.isfinite(real).all(axis=1) & np.isfinite(simulated).all(axis=1)
         for length_s in lengths_s:
             windows = [_windows(motion, real, simulated, slice(*stretch), length_s) for stretch in runs(valid)]
-            if table := [row for rows in windows for row in rows]:
-                pitch, end = np.hsplit(np.array(table), [1])
-                trials.append(HeldOutTrial(recording=match.name, window_s=length_s, pitch=pitch[:, 0], end=end))
+            if pitch := [largest for stretch in windows for largest in stretch]:
+                trials.append(HeldOutTrial(recording=match.name, window_s=length_s, pitch=np.array(pitch)))
     return tuple(trials)
 
 
@@ -123,10 +120,8 @@ def _rates(twin: Twin, number: int, rng: np.random.Generator) -> tuple[Motion, F
     return motion, (match.gyro - offset) @ model.matrix.T, (readings - model.offset) @ model.matrix.T
 
 
-def _windows(
-    motion: Motion, real: FloatArray, simulated: FloatArray, rows: slice, length_s: float
-) -> Iterator[FloatArray]:
-    """Compare two rates (N, 3), rad/s, over every window of a stretch: pitch, end about x, y, z, (4,) rad each."""
+def _windows(motion: Motion, real: FloatArray, simulated: FloatArray, rows: slice, length_s: float) -> Iterator[float]:
+    """Yield the largest difference of pitch by two rates (N, 3), rad/s, in every window of a stretch, rad."""
     time, q_nb, rate_hz = motion.time[rows], motion.q_nb[rows], motion.sample_rate_hz
     samples, stride = round(length_s * rate_hz), max(1, round(STRIDE_S * rate_hz))
     if len(time) <= samples:
@@ -142,6 +137,4 @@ def _windows(
         vertical = rotate(quaternion_conjugate(simulated_q), np.array([0.0, 0.0, 1.0]))
         near_plane = np.hypot(vertical[:, 0], vertical[:, 2]) > IN_PLANE
         pitch = np.abs(wrapped(sagittal_pitch(real_q) - sagittal_pitch(simulated_q)))[near_plane]
-        largest = np.nanmax(pitch) if np.isfinite(pitch).any() else np.nan
-        turn = rotation_vector(quaternion_product(quaternion_conjugate(simulated_q[-1]), real_q[-1]))
-        yield np.array([largest, *np.abs(turn)])
+        yield float(np.nanmax(pitch)) if np.isfinite(pitch).any() else np.nan

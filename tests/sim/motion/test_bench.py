@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from undrift.frames import integrate_strapdown, quaternion_conjugate, quaternion_product, rotate
+from undrift.frames import integrate_strapdown, quaternion_conjugate, quaternion_product
 from undrift.record import FACES
 from undrift.sim.motion.bench import BenchSettings, bench_motion
-from undrift.sim.motion.motion import facing, unit_vector
+from undrift.sim.motion.motion import unit_vector
 
 KINDS = ("six_face", "rate_table", "bench", "ferraris", "multi_position")
 FEW_RATES = (0.2, 1.0)
@@ -71,10 +71,3 @@ def test_hand_turns_sum_to_the_angle_and_are_anything_but_steady() -> None:
         assert abs(rate.sum() / 100.0 - 2.0 * math.pi) < 1e-8  # rectangle rule, flat at both ends: h^4 is left
         assert rate.max() > 1.3 * rate.mean()
         assert rate.min() >= 0.0
-
-
-def test_facing_turns_upside_down_and_leaves_alone_what_is_right() -> None:
-    q = np.array([1.0, 0.0, 0.0, 0.0])
-    np.testing.assert_allclose(facing(q, np.array([0.0, 0.0, 2.0])), q, atol=1e-15)
-    turned = facing(q, np.array([0.0, 0.0, -1.0]))
-    np.testing.assert_allclose(rotate(quaternion_conjugate(turned), np.array([0.0, 0.0, 1.0])), [0, 0, -1], atol=1e-15)

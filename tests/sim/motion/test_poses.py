@@ -62,8 +62,9 @@ def test_a_body_that_turns_while_it_travels_is_recovered_at_instants_between_the
     motion = fit_pose_spline(poses_of(task), settings).at(np.arange(0.1, 19.8, 1.0 / 286.0), G)
     truth = task.at(motion.time, G)
     # A quintic through poses h = 1/120 s apart errs by h^6 x^(6) / 100 in the pose, h^4 in the second derivative.
-    assert angle_between_deg(motion.q_nb, truth.q_nb).max() < 1e-6
-    assert worst(motion.rate_b, truth.rate_b) < 1e-6
+    errors = [angle_between_deg(motion.q_nb, truth.q_nb).max(), worst(motion.rate_b, truth.rate_b)]
+    show("pose, deg; rate, rad/s; force, m/s2", (*errors, worst(motion.force_b, truth.force_b)), "1e-6, 1e-6, 1e-4")
+    assert max(errors) < 1e-6
     assert worst(motion.angular_acceleration_b, truth.angular_acceleration_b) < 1e-4
     assert worst(motion.force_b, truth.force_b) < 1e-4
     assert (motion.valid == 1.0).all()
