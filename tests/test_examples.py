@@ -13,7 +13,7 @@ WITHOUT = {
     "read_reference", "write_session", "read_calibration", "calibrate_to_references", "NoiseFit", "DriftSettings", "DriftFit",
     "Corrected", "Orientation", "validate_leave_one_out", "fit_twin", "Twin",
     "Validation", "Trial", "OrientationError", "OrientSettings",
-    "StillSearch", "TurnSearch", "DeviceModel", "Simulated", "SimulatedTrial", "Exported", "ExportedC",
+    "StillSearch", "TurnSearch", "DeviceModel", "Simulated", "SimulatedTrial", "ExportedC",
 }  # fmt: skip
 
 

@@ -19,7 +19,6 @@ from undrift.programme import (
     rate_grid,
     read_protocol,
     settle_time,
-    whole_turns_time,
     write_protocol,
 )
 from undrift.rig.folder import protocol_digest
@@ -44,13 +43,6 @@ def test_device_settles_to_a_thousandth():
     assert settle_time(2.0, damping=1.0) < settle_time(2.0)
 
 
-def test_whole_turns_are_the_next_ones():
-    assert whole_turns_time(-90.0 * DPS, 6.0) == pytest.approx(8.0)
-    assert whole_turns_time(90.0 * DPS, 4.0) == pytest.approx(4.0)
-    assert whole_turns_time(90.0 * DPS, 4.1) == pytest.approx(8.0)
-    assert whole_turns_time(5.0 * DPS, 6.0) == pytest.approx(72.0)
-
-
 def test_notes_grid_becomes_102_dwells():
     programme = programme_of(SIT_TO_STAND)
     assert sum(dwell.purpose == "rate" for dwell in programme.dwells) == 102
@@ -69,14 +61,6 @@ def test_blocks_stand_between_rests():
     assert [step.up for step in programme.steps if isinstance(step, Mount)] == ["+x", "-z", "+z"]
     rates = [round(d.turn_rate / DPS) for d in programme.dwells if d.purpose == "rate"]
     assert rates[:6] == [10, -10, 20, -20, 30, -30]
-
-
-def test_a_random_order_is_the_seeds_and_holds_the_same_rates():
-    drawn = [programme_of(replace(SMALL, order="random", seed=seed)) for seed in (1, 1, 2)]
-    assert drawn[0] == drawn[1] != drawn[2]
-    first, last = drawn[0].dwells[2:8], drawn[2].dwells[2:8]
-    assert sorted(d.turn_rate for d in first) == pytest.approx(sorted(d.turn_rate for d in last))
-    assert [d.turn_rate for d in first] != sorted(d.turn_rate for d in first)
 
 
 def followed_s(change_c, c_per_min, lag_s, limit_c_per_min, *, step_s=0.1):
@@ -116,7 +100,7 @@ NOTES_SOAKS = replace(SIT_TO_STAND, dwell_s=2.0, temperatures_c=(18.0, 30.0, 45.
 
 @pytest.mark.parametrize(
     ("at", "mountings", "soaks", "minutes"),
-    [("every", 6, 30, 1296.9), ("first", 6, 18, 665.3), ("room", 9, 15, 643.8)],
+    [("every", 6, 30, 1296.9), ("room", 9, 15, 643.8)],
 )
 def test_faces_at_few_temperatures_save_soaks(at, mountings, soaks, minutes):
     programme = programme_of(replace(NOTES_SOAKS, faces_at=at))
@@ -125,16 +109,8 @@ def test_faces_at_few_temperatures_save_soaks(at, mountings, soaks, minutes):
     assert round(programme.duration_s / 60.0, 1) == minutes
     assert sum(dwell.purpose == "rate" for dwell in programme.dwells) == 5 * 102
     faces = [(dwell.up, dwell.temp_c) for dwell in programme.dwells if dwell.purpose == "face"]
-    temps_c = {"every": NOTES_SOAKS.temperatures_c, "first": (18.0,), "room": (None,)}[at]
+    temps_c = {"every": NOTES_SOAKS.temperatures_c, "room": (None,)}[at]
     assert sorted(faces, key=str) == sorted(((up, c) for up in NOTES_SOAKS.faces for c in temps_c), key=str)
-
-
-def test_face_without_rates_is_mounted_first():
-    programme = programme_of(replace(SMALL, faces_at="first", temperatures_c=(20.0, 40.0)))
-    steps = [
-        step.up if isinstance(step, Mount) else step.temp_c for step in programme.steps if not isinstance(step, Dwell)
-    ]
-    assert steps == ["-z", 20.0, "+x", 20.0, 40.0, "+z", 20.0, 40.0]
 
 
 def test_a_filter_that_rings_settles_later():
@@ -142,22 +118,6 @@ def test_a_filter_that_rings_settles_later():
     more = programme_of(replace(slow, damping=0.5)).duration_s - programme_of(slow).duration_s
     per_dwell = math.log(1000.0) / (2.0 * math.pi * 2.0) * (2.0 - math.sqrt(2.0))
     assert more == pytest.approx(len(programme_of(slow).dwells) * per_dwell)
-
-
-def test_dwells_are_as_long_as_the_uncertainty_needs():
-    stated = replace(SMALL, dwell_s=2.0, turn_rate_uncertainty=0.0009 * DPS)
-    assert {round(d.dwell_s, 9) for d in programme_of(stated).dwells if d.purpose == "rate"} == {10.0}
-    coarse = programme_of(stated, ProgrammeSettings(encoder_lines=5000))
-    assert {round(d.dwell_s, 9) for d in coarse.dwells if d.purpose == "rate"} == {20.0}
-    turns = programme_of(replace(SMALL, whole_turns=True))
-    assert [round(d.dwell_s, 9) for d in turns.dwells if d.purpose == "rate"][:6] == [
-        36.0,
-        36.0,
-        18.0,
-        18.0,
-        12.0,
-        12.0,
-    ]
 
 
 def test_no_bracket_is_asked_for_by_zero_seconds():
@@ -231,7 +191,6 @@ def test_a_protocol_gives_its_rates_in_radians() -> None:
     ("change", "text"),
     [
         ({"faces": (), "turn_rate_step": 0.0}, "rates and turns"),
-        ({"dwell_s": None}, "and turn_rate_uncertainty"),
         ({"dwell_s": 0.0}, "must be above"),
         ({"temperatures_c": (30.0, 20.0)}, "temperatures must increase"),
         ({"acceleration": -1.0}, "must be above"),
@@ -257,10 +216,7 @@ def test_a_protocol_reads_back_as_it_was(tmp_path: Path) -> None:
         turn_rate_step=3 * DPS,
         grid="paper",
         axes=("z",),
-        order="random",
-        seed=4,
-        dwell_s=None,
-        turn_rate_uncertainty=0.01 * DPS,
+        dwell_s=4.0,
         temperatures_c=(18.0, 75.0),
     )
     write_protocol(wanted, tmp_path / "protocol.toml")
@@ -298,5 +254,5 @@ def test_new_keys_are_written_if_stated(tmp_path: Path) -> None:
     write_protocol(Protocol(), tmp_path / "p.toml")
     assert "damping" not in (text := (tmp_path / "p.toml").read_text())
     assert "at =" not in text
-    changed = {protocol_digest(Protocol(faces_at="first")), protocol_digest(Protocol(damping=0.8))}
+    changed = {protocol_digest(Protocol(faces_at="room")), protocol_digest(Protocol(damping=0.8))}
     assert len(changed | {protocol_digest(Protocol())}) == 3

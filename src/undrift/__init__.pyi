@@ -57,7 +57,6 @@ from .sim.sessions import (
 )
 from .sim.thermal import simulate_thermal_session as simulate_thermal_session
 from .export.c import export_c as export_c, ExportedC as ExportedC
-from .export.losses import Exported as Exported
 from .errors import (
     UndriftError as UndriftError,
     InputError as InputError,

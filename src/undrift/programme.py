@@ -3,13 +3,11 @@
     mount (operator)  ->  at each temperature: soak (chamber)  ->  rest on the face  ->  rest, dwells, rest (a block of rates)
 
 Mounting disturbs a device more than a chamber does, so the programme has as few mountings as possible. Each face is mounted once,
-for all temperatures. The rates about an axis are read while its + side is up. Soaks take most of the time, and faces require few of
-them. Faces are read at every set-point, only at the first, or in separate mountings before the chamber is used, as in the study. A
-programme can be made without a rig.
+for all temperatures. The rates about an axis are read while its + side is up. Soaks take most of the time. Faces are read at every
+set-point, or in separate mountings before the chamber is used, as in the study. A programme can be made without a rig.
 
     grid     paper (omega_m, omega_M], inclusive [omega_m, omega_M], both ways on three axes: N = 102 or 108 in sit-to-stand
     settle   ln(1000) / (zeta omega_c), omega_c = 2 pi f_c, at least 0.3 s: a second-order low-pass is within 0.1 % of a step
-    dwell    u = q / t: one count q of the encoder over the dwell t
 
 Keys of protocol.toml: docs/rig.md.
 """
@@ -33,8 +31,7 @@ from undrift.units import RADIAN_PER_DEGREE
 # ---- Protocol: faces, rates and temperatures, with their durations and order.
 
 GridRule = Literal["paper", "inclusive"]
-Order = Literal["alternating", "random"]
-FacesAt = Literal["every", "first", "room"]
+FacesAt = Literal["every", "room"]
 AXES: tuple[Axis, ...] = ("x", "y", "z")
 DPS = RADIAN_PER_DEGREE
 DAMPING = math.sqrt(0.5)  # Butterworth, as in the note's filters
@@ -48,8 +45,6 @@ def _as_stated(tree: dict[str, Any]) -> dict[str, Any]:
     if isinstance(turns, dict):
         tree["turns"] = {"angle_deg": 360.0, "axes": list(AXES)} | turns
     if isinstance(rates, dict):
-        if "turn_rate_uncertainty_dps" in rates:
-            rates.setdefault("seconds", None)  # the uncertainty determines the dwell
         limits = [rates.get(f"{name}_dps") for name in ("turn_rate_min", "turn_rate_max", "turn_rate_step")]
         numbers = [float(v) for v in limits if isinstance(v, int | float) and not isinstance(v, bool)]
         if len(numbers) == 3 and all(map(math.isfinite, numbers)) and numbers[2] > 0.0:
@@ -76,7 +71,7 @@ class Protocol:
     # sensor axes that point up, in order (without the table the accelerometers are omitted)
     faces: Annotated[tuple[Face, ...], Key("faces.order")] = FACES
     face_s: Annotated[float, Key("faces.seconds")] = 6.0  # rest on each face, s
-    # set-points at which the faces are read: every, first (only the first), or room (before the chamber is used)
+    # set-points at which the faces are read: every, or room (before the chamber is used)
     faces_at: Annotated[FacesAt, Key("faces.at", later=True)] = "every"
     # smallest rate, largest rate and step (omega_m, omega_M and d of the note), rad/s (a step of 0 omits the rates)
     turn_rate_min: Annotated[float, Key("rates.turn_rate_min_dps", unit=DPS, needed=True)] = 0.0
@@ -86,17 +81,9 @@ class Protocol:
     grid: Annotated[GridRule, Key("rates.grid")] = "inclusive"
     # case axes of the turns, in order (the device is mounted once for each axis)
     axes: Annotated[tuple[Axis, ...], MinLen(1), Key("rates.axes")] = AXES
-    # alternating uses increasing rates, each in both directions, and random uses a random order
-    order: Annotated[Order, Key("rates.order")] = "alternating"
-    seed: Annotated[int, Key("rates.seed")] = 0  # seed of the random order
-    # steady part of each rate, s (None derives it from turn_rate_uncertainty_dps)
-    dwell_s: Annotated[float | None, Key("rates.seconds")] = 6.0
-    # required standard uncertainty of a dwell's mean rate, rad/s
-    turn_rate_uncertainty: Annotated[float | None, Key("rates.turn_rate_uncertainty_dps", unit=DPS)] = None
+    dwell_s: Annotated[float, Key("rates.seconds")] = 6.0  # steady part of each rate, s
     # rest before and after each block of rates, s, which determines the drift
     bracket_s: Annotated[float, Key("rates.bracket_s")] = 6.0
-    # extend dwells to whole turns, so that gravity and the Earth's rate average out
-    whole_turns: Annotated[bool, Key("rates.whole_turns")] = False
     acceleration: Annotated[float, Key("rates.acceleration_dps2", unit=DPS)] = 40.0  # acceleration of the table, rad/s2
     # angle of each turn by hand, rad (360 deg by default, and the angle that the operator reports is recorded)
     turn_angle: Annotated[float, Key("turns.angle_deg", unit=DPS)] = 0.0
@@ -115,11 +102,9 @@ class Protocol:
         for name, least in least_of.items():
             if not least <= getattr(self, name) < np.inf:
                 raise InputError(f"protocol: {name} must be {least:g} or more, got {getattr(self, name):g}.")
-        check_positive(self, "protocol", "Set a positive value", "acceleration", "dwell_s", "turn_rate_uncertainty")
+        check_positive(self, "protocol", "Set a positive value", "acceleration", "dwell_s")
         if self.turn_rate_step > 0.0:
             self.turn_rates()
-            if self.dwell_s is None and self.turn_rate_uncertainty is None:
-                raise InputError("protocol: dwell_s and turn_rate_uncertainty are both missing. Set one of them.")
         elif not (self.faces or self.turn_axes):
             raise InputError("protocol: faces, rates and turns are all missing. Add at least one of them.")
         if self.turn_axes and not (math.isfinite(self.turn_angle) and self.turn_angle != 0.0):
@@ -160,7 +145,7 @@ def write_protocol(protocol: Protocol, path: str | Path) -> None:
     write(protocol, path)
 
 
-# ---- Settling time after a change of rate, and required length of a dwell.
+# ---- Settling time after a change of rate.
 
 LEAST_SETTLE_S = 0.3  # shortest settling time, which also covers the table's servo, s
 REMAINDER = 1000.0
@@ -169,12 +154,6 @@ REMAINDER = 1000.0
 def settle_time(cutoff_hz: float, damping: float = DAMPING) -> float:
     """Return the settling time after a change of rate, s."""
     return max(LEAST_SETTLE_S, math.log(REMAINDER) / (damping * 2.0 * math.pi * cutoff_hz))
-
-
-def whole_turns_time(turn_rate: float, least_s: float) -> float:
-    """Return the shortest duration of whole turns that is at least `least_s`, s."""
-    turn_s = 2.0 * math.pi / abs(turn_rate)
-    return turn_s * max(1, math.ceil(least_s / turn_s - 1e-9))
 
 
 # ---- Programme.
@@ -186,9 +165,8 @@ TURN_S = 10.0  # duration of a turn by an operator, s, for the forecast only
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProgrammeSettings:
-    """Settings that a protocol does not contain. Durations and slopes are for the forecast only."""
+    """Durations and slopes for the forecast, which a protocol does not contain."""
 
-    encoder_lines: int = 10_000  # lines of the table's encoder, 4 counts each
     mount_s: float = 30.0  # duration of a mounting, s
     room_c: float = 25.0  # initial temperature of the chamber, degC
     heating_c_per_min: float = 2.0  # slope of the chamber, K/min
@@ -284,7 +262,6 @@ class Programme:
 def programme_of(protocol: Protocol, settings: ProgrammeSettings = ProgrammeSettings()) -> Programme:
     """Return the programme of a protocol, step by step."""
     turning = tuple(dict.fromkeys(protocol.axes)) if protocol.turn_rate_step > 0.0 else ()
-    rng = np.random.default_rng(protocol.seed)
     steps: list[Step] = []
     before_c = settings.room_c
     for up, visits in _mountings(protocol, tuple(PLUS[axis] for axis in (*turning, *protocol.turn_axes))):
@@ -298,7 +275,7 @@ def programme_of(protocol: Protocol, settings: ProgrammeSettings = ProgrammeSett
                 steps.append(_rest("face", up, None, protocol.face_s, protocol, temp_c))
             for axis in turning if turns else ():
                 if up == PLUS[axis]:
-                    steps += _block(axis, protocol, settings, temp_c, rng)
+                    steps += _block(axis, protocol, temp_c)
             for axis in protocol.turn_axes if turns else ():
                 if up == PLUS[axis]:
                     rest = _rest("bracket", up, axis, protocol.turn_rest_s, protocol, temp_c)
@@ -325,13 +302,8 @@ def _mountings(protocol: Protocol, turn_faces: tuple[Face, ...]) -> Iterator[tup
         for up in dict.fromkeys(turn_faces):
             yield up, [(temp_c, False, True) for temp_c in temps_c]
         return
-    ups: dict[Face, None] = dict.fromkeys((*protocol.faces, *turn_faces))
-    last = protocol.faces_at == "first"  # saves a cooling of the chamber
-    for up in sorted(ups, key=lambda up: last and up in turn_faces):
-        visits = [
-            (temp_c, up in protocol.faces and not (last and k), up in turn_faces) for k, temp_c in enumerate(temps_c)
-        ]
-        yield up, [visit for visit in visits if visit[1] or visit[2]]
+    for up in dict.fromkeys((*protocol.faces, *turn_faces)):
+        yield up, [(temp_c, up in protocol.faces, up in turn_faces) for temp_c in temps_c]
 
 
 def soak_time(protocol: Protocol, change_c: float, settings: ProgrammeSettings) -> float:
@@ -346,31 +318,15 @@ def soak_time(protocol: Protocol, change_c: float, settings: ProgrammeSettings) 
     return heating_s + lag_s * math.log(max(slope_at_end / protocol.soak_c_per_min, 1.0)) + settings.settle_s
 
 
-def _block(
-    axis: Axis, protocol: Protocol, settings: ProgrammeSettings, temp_c: float | None, rng: np.random.Generator
-) -> Iterator[Dwell]:
+def _block(axis: Axis, protocol: Protocol, temp_c: float | None) -> Iterator[Dwell]:
+    """Yield increasing rates, each in both directions, between two rests."""
     bracket = _rest("bracket", PLUS[axis], axis, protocol.bracket_s, protocol, temp_c)
     yield bracket
-    for turn_rate in _ordered(protocol, rng):
-        dwell_s, ramp_s = _dwell_s(turn_rate, protocol, settings), abs(turn_rate) / protocol.acceleration
-        yield replace(bracket, purpose="rate", turn_rate=turn_rate, ramp_s=ramp_s, dwell_s=dwell_s)
-    yield bracket
-
-
-def _ordered(protocol: Protocol, rng: np.random.Generator) -> list[float]:
     rates = protocol.turn_rates()
-    if protocol.order == "random":
-        return [float(rate) for rate in rng.permutation(rates)]
-    return [float(sign * rate) for rate in rates[rates > 0.0] for sign in (1.0, -1.0)]
-
-
-def _dwell_s(turn_rate: float, protocol: Protocol, settings: ProgrammeSettings) -> float:
-    """Return the dwell, s: the longer of `dwell_s` and the dwell for the uncertainty, in whole turns if required."""
-    seconds = protocol.dwell_s or 0.0
-    if protocol.turn_rate_uncertainty is not None:
-        count = 2.0 * np.pi / (4.0 * settings.encoder_lines)
-        seconds = max(seconds, count / protocol.turn_rate_uncertainty)
-    return whole_turns_time(turn_rate, seconds) if protocol.whole_turns else seconds
+    for turn_rate in (float(sign * rate) for rate in rates[rates > 0.0] for sign in (1.0, -1.0)):
+        ramp_s = abs(turn_rate) / protocol.acceleration
+        yield replace(bracket, purpose="rate", turn_rate=turn_rate, ramp_s=ramp_s, dwell_s=protocol.dwell_s)
+    yield bracket
 
 
 def _rest(

@@ -16,12 +16,12 @@ from testkit.disk import preloaded
 from testkit.printing_board import PrintingBoard, sketch_line
 from testkit.talking_device import TalkingDevice
 from undrift.base.clock import Clock
+from undrift.commands.bench import source
 from undrift.commands.files import Place
 from undrift.commands.record import record as recording
 from undrift.io.formats import read_record
 from undrift.io.session import read_session
 from undrift.io.store import read_calibration
-from undrift.live import transports
 from undrift.live.hands import HandHeld
 from undrift.record import Face
 from undrift.screen import Screen, showing_on
@@ -49,8 +49,9 @@ def test_another_baud_rate_is_asked_for_and_taken_from_the_address(undrift, tmp_
 
 def test_ports_are_listed_and_the_only_one_is_taken(undrift, tmp_path, monkeypatch, board):
     ports = [("/dev/ttyACM0", "Arduino Uno"), ("/dev/ttyUSB1", "CP2102 USB to UART")]
-    monkeypatch.setattr(transports, "serial_ports", lambda: ports)
-    monkeypatch.setattr(transports, "lsl_streams", lambda: [("wrist", "IMU, 6 channels, 100 Hz")])
+    for module in (sys.modules["undrift.commands.record"], source):
+        monkeypatch.setattr(module, "serial_ports", lambda: ports)
+    monkeypatch.setattr(source, "lsl_streams", lambda: [("wrist", "IMU, 6 channels, 100 Hz")])
 
     out = undrift.good("record").out
     assert "Serial ports: 2, LSL streams: 1." in out
@@ -61,10 +62,10 @@ def test_ports_are_listed_and_the_only_one_is_taken(undrift, tmp_path, monkeypat
     }  # fmt: skip
     assert out.endswith("Next: undrift record /dev/ttyACM0 -o walk.parquet\n")
     assert "got 2 (/dev/ttyACM0, /dev/ttyUSB1)" in undrift.refused("record", "-o", tmp_path / "a.csv")
-    monkeypatch.setattr(transports, "serial_ports", lambda: [(board.port, "a board")])
+    monkeypatch.setattr(sys.modules["undrift.commands.record"], "serial_ports", lambda: [(board.port, "a board")])
     assert undrift("record", "-o", tmp_path / "a.csv", "--duration-s", "1").code == 0
     for way in ("serial_ports", "lsl_streams"):
-        monkeypatch.setattr(transports, way, list)
+        monkeypatch.setattr(source, way, list)
     assert "No device was found" in undrift.good("record").out
 
 

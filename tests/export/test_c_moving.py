@@ -1,13 +1,12 @@
 """The exported change of the offset from motion to rest against correction/correct.py."""
 
 import re
-import subprocess
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from testkit.c_build import STRICT, TYPES, write
+from testkit.c_build import TYPES, UNDEFINED, run_program
 from testkit.full_calibration import device, record, tables
 from undrift.correction.correct import correct_checked
 from undrift.export.c import export_c
@@ -46,21 +45,20 @@ def turns_and_rests(calibration):
     return record(N, gyro=gyro, time=time, temp_c=np.full(N, 18.0))
 
 
+def both(calibration, r, arithmetic, folder):
+    """Return the rates in C and in Python, and the record."""
+    kind = TYPES[arithmetic]
+    inputs = np.column_stack((r.gyro, r.accel, r.temp_c, np.full(N, STEP_S))).astype(kind)
+    row = np.dtype((kind, 6))
+    got = run_program(export_c(calibration), folder, arithmetic, inputs, row, main=MAIN, options=UNDEFINED)[:, :3]
+    return got, correct_checked(r, calibration).record.gyro, r
+
+
 @pytest.mark.parametrize("arithmetic", ["double", "float"])
 @pytest.mark.parametrize("drift", [None, tables(dynamic=None)], ids=["constant", "tables"])
 def test_rates_at_rest_are_those_of_the_corrector(arithmetic, drift, tmp_path):
     calibration = moving(drift)
-    exported, r = export_c(calibration), turns_and_rests(calibration)
-    write(exported, tmp_path)
-    (tmp_path / "main.c").write_text(MAIN)
-    words = ["gcc", *STRICT, "-fsanitize=undefined", "-O1", f"-DUNDRIFT_{arithmetic.upper()}"]
-    subprocess.run([*words, tmp_path / "undrift.c", tmp_path / "main.c", "-o", tmp_path / "run"], check=True)
-    kind = TYPES[arithmetic]
-    inputs = np.column_stack((r.gyro, r.accel, r.temp_c, np.full(N, STEP_S))).astype(kind)
-    done = subprocess.run([tmp_path / "run"], input=inputs.tobytes(), capture_output=True, check=True)
-    assert done.stderr == b""
-    got = np.frombuffer(done.stdout, kind).reshape(-1, 6)[:, :3]
-    wanted = correct_checked(r, calibration).record.gyro
+    got, wanted, r = both(calibration, turns_and_rests(calibration), arithmetic, tmp_path)
     turning, _ = find_turning(wanted, r.time)
     assert 0.1 < turning.mean() < 0.6
     near = np.abs(np.diff(turning, prepend=0.0)) > 0.0  # the sample at which a turn begins or ends may be another
@@ -74,16 +72,7 @@ def test_a_gap_is_bridged(tmp_path):
     r = turns_and_rests(calibration)
     gyro = np.array(r.gyro)
     gyro[430:440] = np.nan
-    r = replace(r, gyro=gyro)
-    exported = export_c(calibration)
-    write(exported, tmp_path)
-    (tmp_path / "main.c").write_text(MAIN)
-    words = ["gcc", *STRICT, "-DUNDRIFT_DOUBLE", tmp_path / "undrift.c", tmp_path / "main.c", "-o", tmp_path / "run"]
-    subprocess.run(words, check=True)
-    inputs = np.column_stack((r.gyro, r.accel, r.temp_c, np.full(N, STEP_S)))
-    done = subprocess.run([tmp_path / "run"], input=inputs.tobytes(), capture_output=True, check=True)
-    got = np.frombuffer(done.stdout).reshape(-1, 6)[:, :3]
-    wanted = correct_checked(r, calibration).record.gyro
+    got, wanted, _ = both(calibration, replace(r, gyro=gyro), "double", tmp_path)
     np.testing.assert_array_equal(np.isnan(got), np.isnan(wanted))
     assert (np.abs(got - wanted) < 1e-12)[:470][np.isfinite(wanted[:470])].all()
 

@@ -1,17 +1,15 @@
 """The exported warm-up against correction/correct.py told the time since power-on, and the stated bytes of a source with all
 parts."""
 
-import subprocess
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from testkit.c_build import STRICT, TYPES, write
+from testkit.c_build import TYPES, UNDEFINED, run_program
 from testkit.data import show
 from testkit.full_calibration import ROUNDINGS, device, record, tables
 from undrift.correction.correct import correct_checked
-from undrift.errors import InputError
 from undrift.export.c import export_c
 from undrift.model import StaticDrift, WarmUp
 
@@ -41,17 +39,9 @@ def warming(nodes="searched", **changes):
     return device(drift=replace(drift, static=static, **changes), adc=adc)
 
 
-def run(exported, folder, arithmetic, inputs, *options):
-    write(exported, folder)
-    (folder / "main.c").write_text(MAIN)
-    words = ["gcc", *STRICT, *(options or ("-O1",)), f"-DUNDRIFT_{arithmetic.upper()}"]
-    words += [folder / "undrift.c", folder / "main.c", "-o", folder / "since"]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, ""), done.stderr
-    done = subprocess.run([folder / "since"], input=inputs.tobytes(), capture_output=True, check=True)
-    assert done.stderr == b""
-    rows = np.frombuffer(done.stdout, np.dtype([("out", TYPES[arithmetic], 12), ("status", "i4")]))
-    assert len(rows) == len(inputs)
+def run(exported, folder, arithmetic, inputs, options=("-O1",)):
+    row = np.dtype([("out", TYPES[arithmetic], 12), ("status", "i4")])
+    rows = run_program(exported, folder, arithmetic, inputs, row, main=MAIN, options=options)
     return rows["out"].astype(float), rows["status"]
 
 
@@ -102,8 +92,7 @@ def test_wild_times_do_nothing_undefined(nodes, arithmetic, tmp_path):
     inputs, _ = given(exported, arithmetic, r, np.arange(len(wild), dtype=float))
     inputs[:] = inputs[-1]
     inputs[:, 7] = wild
-    options = ("-O1", "-fsanitize=undefined,float-cast-overflow", "-fno-sanitize-recover=all")
-    out, _ = run(exported, tmp_path, arithmetic, inputs, *options)
+    out, _ = run(exported, tmp_path, arithmetic, inputs, UNDEFINED)
     before = 3  # of the times above, those that are not after power-on
     assert (out[:before, :3] == out[0, :3]).all()
     assert (np.abs(out[:before, :3] - out[:before, 6:9]) > 0.05).any()
@@ -120,13 +109,3 @@ def test_warm_up_without_offsets_is_carried_too(tmp_path):
     out, _ = run(exported, tmp_path, "double", inputs)
     python = correct_checked(same, calibration, power_on_s=0.0).record
     np.testing.assert_allclose(out[:, :3], python.gyro, rtol=0.0, atol=1e-12)  # sums of 3 rad/s
-
-
-def test_a_warm_up_with_gaps_is_refused():
-    drift = tables()
-    for change, said in (
-        ({"power_on_s": [0.0, 600.0], "gyro_offset": [[np.nan] * 3, EXTRA[-1]]}, "gyro contains 3 NaN"),
-    ):
-        static = replace(drift.static, warm_up=WarmUp(**change))
-        with pytest.raises(InputError, match=said):
-            export_c(device(drift=replace(drift, static=static)))

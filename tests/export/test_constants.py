@@ -28,7 +28,7 @@ def corrected_at_40(made):
 def test_json_constants_correct_as_the_corrector_does():
     model = device(drift=tables(scale=STEPS[::2]))
     exported = write_constants(model, ExportOptions(temp_c=40.0), "a.json")
-    content = json.loads(exported.text)
+    content = json.loads(exported.files["a.json"])
     assert (content["kind"], content["format"], content["device"], content["temp_c"]) == (
         "undrift.constants",
         1,
@@ -52,7 +52,7 @@ def test_json_constants_correct_as_the_corrector_does():
 def test_c_header_holds_the_same_numbers(tmp_path):
     model = device(drift=tables(), device="A*/ x")
     options = ExportOptions(temp_c=40.0, prefix="foot")
-    header = write_constants(model, options, "a.h").text
+    header = write_constants(model, options, "a.h").files["a.h"]
     (tmp_path / "a.h").write_text(header)
     (tmp_path / "main.c").write_text(
         '#include <stdio.h>\n#include "a.h"\nint main(void)\n{\n    const float *m = &foot_gyro_matrix[0][0];\n    int k;\n'
@@ -63,7 +63,7 @@ def test_c_header_holds_the_same_numbers(tmp_path):
     )
     subprocess.run(["gcc", *STRICT, tmp_path / "main.c", "-o", tmp_path / "run"], check=True)
     got = subprocess.run([tmp_path / "run"], capture_output=True, text=True, check=True).stdout.split()
-    content = json.loads(write_constants(model, options, "a.json").text)
+    content = json.loads(write_constants(model, options, "a.json").files["a.json"])
     wanted = [*np.ravel(content["gyro"]["matrix"]), content["gyro"]["offset"][2]]
     wanted += [content["accel"]["matrix"][2][1], content["accel"]["offset"][0]]
     np.testing.assert_allclose(np.array(got, float), wanted, rtol=1e-6)
@@ -72,7 +72,7 @@ def test_c_header_holds_the_same_numbers(tmp_path):
 
 def test_a_triad_without_a_model_is_left_out_and_named():
     exported = write_constants(device(accel=None, drift=None), ExportOptions(), "a.json")
-    assert json.loads(exported.text)["accel"] is None
+    assert json.loads(exported.files["a.json"])["accel"] is None
     assert "no accelerometer constants, because the calibration has no accelerometer model" in exported.notes
 
 

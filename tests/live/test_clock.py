@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from undrift.errors import InputError
 from undrift.live.clock import DeviceClock, GapMarker
 from undrift.live.decoder import Arrivals, Counter
 
@@ -28,32 +27,12 @@ def test_offset_and_rate_come_from_the_promptest_packets():
     assert 0.008 < fit.jitter_s < 0.1
 
 
-def test_a_straight_line_through_all_packets_would_be_ten_times_worse():
-    device, host = packets()
-    clock = DeviceClock()
-    clock.add(device, host)
-    truth = 1000.0 + device / (1 + 50e-6) + 0.003
-    line = np.polyval(np.polyfit(device, host, 1), device)
-    fit = clock.fit()
-    ours = np.array([fit.host_time(t) for t in device[::100]]) - truth[::100]
-    assert np.abs(ours).max() * 10 < np.abs(line - truth).max()
-
-
 def test_no_packet_comes_before_the_line():
     device, host = packets(seed=3)
     clock = DeviceClock()
     clock.add(device, host)
     fit = clock.fit()
     assert min(h - fit.host_time(d) for d, h in zip(device.tolist(), host.tolist(), strict=True)) > -1e-9
-
-
-def test_the_clock_holds_to_its_nominal_rate_while_there_is_little_to_go_by():
-    clock = DeviceClock(clock_speed=20.0)
-    clock.add(np.array([0.0, 0.01, 0.02]), np.array([5.0, 5.0, 5.4]))
-    assert clock.fit().rate == pytest.approx(0.05, rel=0.021)
-    one = DeviceClock()
-    one.add(np.array([3.0]), np.array([7.0]))
-    assert (one.fit().rate, one.fit().host_time(4.0)) == (1.0, 8.0)
 
 
 def test_a_clock_that_drifts_is_followed_since_the_old_is_forgotten():
@@ -95,11 +74,6 @@ def test_few_packets_or_a_short_while_do_not_settle_a_clock():
     brief.add(np.arange(100) * 0.001, 5.0 + np.arange(100) * 0.001)
     assert not few.fit().settled
     assert not brief.fit().settled
-
-
-def test_a_clock_without_packets_says_so():
-    with pytest.raises(InputError, match=r"no packet"):
-        DeviceClock().fit()
 
 
 def test_a_counter_goes_on_where_it_wraps():
@@ -152,26 +126,9 @@ def test_missing_readings_become_rows_of_nan():
     assert marker.missing == 2
 
 
-def test_gaps_between_two_chunks_are_marked_too():
-    marker = GapMarker(0.1)
-    marker.mark(np.array([0.0]), np.zeros((1, 2)))
-    time, values = marker.mark(np.array([0.3, 0.6]), np.ones((2, 2)))
-    assert time == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
-    assert np.isnan(values[:, 0]).tolist() == [True, True, False, True, True, False]
-    assert marker.missing == 4
-
-
 def test_a_long_gap_is_marked_by_one_row():
     marker = GapMarker(0.01, longest_fill_s=1.0)
     time, values = marker.mark(np.array([0.0, 3600.0]), np.ones((2, 1)))
     assert time == pytest.approx([0.0, 0.01, 3600.0])
     assert np.isnan(values[:, 0]).tolist() == [False, True, False]
     assert marker.missing == 359_999
-
-
-def test_jitter_of_less_than_half_a_period_is_no_gap():
-    rng = np.random.default_rng(0)
-    time = np.arange(1000) * 0.01 + rng.uniform(-0.002, 0.002, 1000)
-    marker = GapMarker(0.01)
-    assert marker.mark(time, np.zeros((1000, 1)))[0] is time
-    assert marker.missing == 0

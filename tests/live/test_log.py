@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from testkit.byte_sender import Sender
-from testkit.data import show
 from testkit.firmware import RATE_HZ, Shape, motion, shapes
 from undrift.errors import InputError, RigTimeout
 from undrift.live.decoder import StreamDescription, decoder_for, described
@@ -64,17 +63,6 @@ def test_a_shape_is_described_by_three_seconds_of_it_and_read_right(shape: Shape
         np.testing.assert_allclose(np.diff(counter) * sent.tick_s, 0.01, atol=2e-3 + 0.02 * (lost > 1))
 
 
-@pytest.mark.slow
-def test_most_shapes_need_no_description():
-    states = [one for one in ALL if one.name not in REFUSED]
-    noted = sum(bool(description_of(listened(one), "board", {})[1]) for one in states)
-    show(
-        "shapes",
-        f"{len(states)} of {len(ALL)} described by listening, {noted} of them with a note; {len(REFUSED)} refused",
-    )
-    assert len(states) == 20
-
-
 @pytest.mark.parametrize("name", sorted(REFUSED))
 def test_a_shape_that_is_not_described_asks_for_it(name: str):
     shape = next(one for one in ALL if one.name == name)
@@ -105,12 +93,6 @@ def test_a_header_names_plain_numbers_and_a_counter_counts():
     assert (options["gyro_unit"], options["gyro_gain"], options["accel_unit"]) == ("dps", "0.001", "g")
     assert "tick" not in options
     assert float(options["rate"]) == pytest.approx(100.0, rel=0.01)
-
-
-def test_what_holds_no_readings_is_refused():
-    for text in ("hello\n", "t: {k}\n", "T={k},H=40,P=1013\n"):
-        with pytest.raises(InputError, match="Describe it"):
-            description_of(lines(text), "board", {})
 
 
 def test_damaged_and_torn_lines_are_left_out_and_counted_and_equal_lines_count_each():

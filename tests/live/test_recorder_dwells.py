@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from testkit.waiting import LONG_S, eventually
-from undrift.errors import InputError, RigTimeout
+from undrift.errors import RigTimeout
 from undrift.live.decoder import Chunk, StreamDescription
-from undrift.live.recorder import DwellReadings, Recorder, RecorderSettings
+from undrift.live.recorder import DwellReadings, Recorder
 
 RATE = 100.0
 CONNECTED = 50.0  # host s
@@ -52,7 +52,7 @@ class Bench:
 
     def __init__(self, source, steps):
         self.source, self.steps = source, iter(steps)
-        self.recorder = Recorder(source, RecorderSettings(silence_s=LONG_S))
+        self.recorder = Recorder(source, silence_s=LONG_S)
         self.recorder.now = lambda: self.source.host
         self.dwells = DwellReadings(self.recorder, deadline_s=LONG_S)
 
@@ -182,15 +182,4 @@ def test_a_dwell_that_is_shorter_than_the_delays_is_refused():
             RigTimeout,
             match=r"scripted: .*certainly later",
         ):
-            bench.dwells.stop()
-
-
-def test_a_look_that_need_not_be_certain_waits_for_nothing():
-    with Bench(Scripted(), backlog(behind_s=45.0, speed=1.5)) as bench:
-        bench.up_to(CONNECTED + 0.1)
-        bench.dwells.start(certain=False)
-        bench.up_to(CONNECTED + 0.3)
-        record = bench.dwells.stop()
-        assert 2 <= len(record) < 100
-        with pytest.raises(InputError, match=r"no dwell"):
             bench.dwells.stop()

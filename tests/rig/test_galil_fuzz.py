@@ -11,14 +11,13 @@ from collections import Counter
 
 import pytest
 
-from testkit.cards import BOTH, Card
+from testkit.cards import Card
 from testkit.data import show
 from testkit.rig_bench import mean_turn_rate
 from testkit.scripted_server import VirtualScripted
 from testkit.virtual_clock import VirtualClock
 from undrift.errors import LimitError, LinkError, RigError, RigFault, RigTimeout
 from undrift.rig.galil import GalilCard, GalilRig
-from undrift.rig.link import LinkSettings
 from undrift.rig.rig import RigSettings
 from undrift.units import RADIAN_PER_DEGREE
 
@@ -51,15 +50,12 @@ HARMLESS = re.compile(
 class Mover(Card):
     """Remembers what it held each time that it began."""
 
-    def __init__(self, tells_time, clock):
+    def __init__(self):
         super().__init__(polls=3)
-        self.clock = clock
         self.held |= {"TM": "1000", "KP": "6", "KI": "0", "KD": "64"}
-        self.last, self.begun, self.tells_time = "", [], tells_time
+        self.last, self.begun = "", []
 
     def answer(self, command):
-        if command == BOTH and self.tells_time:
-            return f"{int(self.held['TP']): 011d} {int(1e3 * self.clock.now()) % 10**9: 011d}\r\n:".encode()
         try:
             said = super().answer(command)
         except (KeyError, ValueError):  # a word that lost a letter
@@ -81,7 +77,7 @@ class PoorLine:
 
     def __init__(self, seed, share):
         self.clock = VirtualClock()
-        self.card, self.share = Mover(seed % 2 == 0, self.clock), share
+        self.card, self.share = Mover(), share
         self.chance = random.Random(seed)
         self.armed, self.heard, self.spoilt = True, 0, Counter()
         self.server = VirtualScripted(self, self.clock)
@@ -154,7 +150,7 @@ WAYS = (
 
 def opened(line, sent):
     """Open a rig, and keep in a list what it sends."""
-    port = GalilCard(line.server.url, LinkSettings(reply_timeout_s=REPLY_S, clock=line.clock))
+    port = GalilCard(line.server.url, reply_timeout_s=REPLY_S, clock=line.clock)
     send = port.send
 
     def noted(data):

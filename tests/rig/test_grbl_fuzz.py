@@ -9,7 +9,6 @@ from testkit.scripted_server import VirtualScripted
 from testkit.virtual_clock import VirtualClock
 from undrift.errors import LinkError, RigError, RigFault, RigTimeout
 from undrift.rig.grbl import GrblBoard, GrblRig
-from undrift.rig.link import LinkSettings
 from undrift.rig.rig import RigSettings
 
 LETTERS = b"<>|:,.-$=0123456789 okerrorMPosIdleJogAlarmALARM\r\n\x00\xff\x85"
@@ -62,7 +61,7 @@ def test_bad_answers_at_any_step_end_within_the_deadline_and_nothing_jogs(seed):
         armed, clock = False, VirtualClock()
         with VirtualScripted(answer, clock, terminator=b"\n", at_once="?!~\x18\x85") as server:
             with contextlib.suppress(RigError):
-                link = GrblBoard(server.url, LinkSettings(reply_timeout_s=0.02, clock=clock))
+                link = GrblBoard(server.url, reply_timeout_s=0.02, clock=clock)
                 rig = GrblRig(link, RigSettings(clock=clock))
                 armed = True
                 try:

@@ -114,14 +114,6 @@ def test_a_wrong_face_in_counts_is_repeated_after_its_file_was_deleted(tmp_path,
     assert run(simulated(), path, protocol, readings=InCounts, resume=True)[0].added == 0
 
 
-def test_faces_that_contradict_each_other_for_good_end_the_run_and_name_both(tmp_path):
-    bench = simulated()
-    always = Hands(bench, dict.fromkeys(range(1, 99), "+y"))
-    with pytest.raises(RigFault, match=r".x must be up in step .*, got the readings of .x"):
-        run(bench, tmp_path, replace(SHORT, faces=("+x", "-x"), axes=()), readings=InCounts, hands=always)
-    assert not bench.servo.powered
-
-
 class Clumsy(Device):
     """Is pushed in some of its readings, counted from 1."""
 

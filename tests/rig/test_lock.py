@@ -2,12 +2,16 @@
 
 import math
 import os
+import signal
+import time
 from contextlib import closing
 
 import pytest
 
+from testkit.bench import FORKS
 from testkit.cards import TurningBoard, TurningCard
 from testkit.rig_bench import PROTOCOL, driven, simulated
+from testkit.waiting import eventually
 from undrift.cli.app import run
 from undrift.errors import RigFault
 from undrift.rig.lock import one_run, place_of, stop_rig
@@ -49,6 +53,31 @@ def test_a_second_run_is_refused_before_there_is_a_folder(tmp_path, capsys, host
         assert run([*words, "--device", "tcp://127.0.0.1:9", "-o", str(tmp_path / "two")]) == 3
     assert "in use by the first" in capsys.readouterr().err
     assert not (tmp_path / "two").exists()
+
+
+def hold(address):
+    with one_run(address, "the first"):
+        time.sleep(60.0)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="locks of POSIX")
+def test_stop_ends_the_process_that_drives_the_table():
+    card = TurningCard(simulated())
+    process = FORKS.Process(target=hold, args=(card.address,))
+    process.start()
+
+    def is_locked():
+        try:
+            with one_run(card.address, "the second"):
+                return False
+        except RigFault:
+            return True
+
+    eventually(is_locked, "the lock")
+    stop_rig(card.address, RigSettings(clock=card.bench.clock))
+    process.join(10.0)
+    assert process.exitcode == -signal.SIGTERM
+    assert card.server.heard[-2:] == ["MOX", "MG _MOX"]
 
 
 def check_free(card, accept):

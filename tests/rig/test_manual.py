@@ -10,13 +10,13 @@ import undrift
 from testkit.data import show
 from testkit.rig_bench import GAIN, OFFSET, UP
 from undrift.base.clock import Clock
-from undrift.errors import InputError, LimitError, RigFault
+from undrift.errors import InputError
 from undrift.io.session import read_session
 from undrift.programme import programme_of, read_protocol
 from undrift.record import Record
 from undrift.rig.folder import RunFolder
 from undrift.rig.manual import AskedOperator, ManualRig
-from undrift.rig.rig import Limits, RigSettings, check_programme, open_rig
+from undrift.rig.rig import RigSettings, open_rig
 from undrift.rig.run import Mounted, RigBench, run_programme
 from undrift.units import STANDARD_GRAVITY
 
@@ -46,19 +46,6 @@ def test_a_wrong_answer_is_asked_for_again_three_times():
     assert rig.move_by(2 * math.pi) / DEGREE == pytest.approx(355)
     with pytest.raises(InputError, match="three answers"):
         ManualRig(Person("a", "b", "c")).move_by(1.0)
-
-
-@pytest.mark.parametrize("said", ["q", "QUIT", "stop"])
-def test_a_person_may_give_up(said):
-    with pytest.raises(RigFault, match="operator gave up"):
-        ManualRig(Person(said)).move_by(1.0)
-
-
-def test_the_travel_counts_for_a_hand_too():
-    person = Person()
-    with pytest.raises(LimitError, match="travel"):
-        ManualRig(person, Limits(travel=1.0)).move_by(2.0)
-    assert person.lines == []
 
 
 def test_nobody_to_ask_and_a_person_with_a_port_are_refused():
@@ -172,14 +159,3 @@ def test_turns_by_hand_become_a_session_that_calibrates_the_gyroscopes(by_hand, 
     show("matrix found by turns by hand, off the true one", worst, 1e-3)
     assert worst < 1e-3  # noise of 0.01 dps over 8 s is 0.003 deg of 360
     assert found.gyro.offset == pytest.approx(OFFSET, abs=3e-3)  # 0.01 dps over thousands of samples
-
-
-def test_a_protocol_of_turns_reads_back_and_needs_no_rate_table(by_hand, tmp_path):
-    from undrift.programme import write_protocol
-
-    protocol, _, _ = by_hand
-    write_protocol(protocol, tmp_path / "again.toml")
-    assert read_protocol(tmp_path / "again.toml") == protocol
-    check_programme(programme_of(protocol), Limits(), by_hand=True)
-    with pytest.raises(InputError, match="requires an operator"):
-        check_programme(programme_of(protocol), Limits())

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from testkit.rig_bench import GAIN, SHORT, Device, Hands, Oven, at_rest, gain_of, simulated
+from testkit.rig_bench import GAIN, SHORT, Device, Hands, at_rest, gain_of, simulated
 from undrift.errors import LinkError, RigTimeout
 from undrift.io.session import read_session
 from undrift.programme import Dwell, programme_of
@@ -42,22 +42,21 @@ class Failing(Device):
         return record
 
 
-def run_two(bench, path, *, first=None, second=None, resume=False, programme=PLAN, protocol=SHORT, chamber=None):
+def run_two(bench, path, *, first=None, second=None, resume=False):
     hands, shown = Hands(bench), []
     devices = [Failing(bench, number, **(how or {})) for number, how in enumerate((first, second))]
     with (
-        RunFolder(path / "a", protocol, resume=resume) as own,
-        RunFolder(path / "b", protocol, resume=resume) as other,
+        RunFolder(path / "a", SHORT, resume=resume) as own,
+        RunFolder(path / "b", SHORT, resume=resume) as other,
     ):
-        connected = RigBench(rig=bench.table, mounting=hands, chamber=chamber, clock=bench.clock)
+        connected = RigBench(rig=bench.table, mounting=hands, clock=bench.clock)
         results = run_programme(
-            programme,
+            PLAN,
             connected,
             Mounted(readings=devices[0], folder=own, serial="first"),
             Mounted(readings=devices[1], folder=other, serial="second"),
             report=lambda progress: shown.append(progress.live),
             gravity_m_s2=STANDARD_GRAVITY,
-            device_lag_s=0.0,
         )
     assert any(live.endswith((" of first", " of second")) for live in shown), "whose readings are shown"
     return results, hands, devices
@@ -115,19 +114,3 @@ def test_a_rest_that_disturbs_one_device_is_taken_again_for_it_alone(tmp_path):
     results, _, devices = run_two(bench, tmp_path, second={"disturbed": (7,)})
     assert [device.taken for device in devices] == [7, 8]
     assert [result.added for result in results] == [7, 7]
-
-
-def test_a_soak_goes_on_with_the_device_that_answers(tmp_path):
-    heated = replace(SHORT, temperatures_c=(30.0, 40.0))
-    bench = simulated(devices=2)
-    with pytest.raises(RigTimeout, match=r"b: expected 14 dwells, got 7. Step 10 "):
-        run_two(
-            bench,
-            tmp_path,
-            second={"dead_from": 10},
-            programme=programme_of(heated),
-            protocol=heated,
-            chamber=Oven(window_s=10.0),
-        )
-    assert at_rest(bench)
-    assert len(read_session(tmp_path / "a").records) == 14

@@ -49,7 +49,7 @@ class Silent(Device):
         self.faulty = faulty
 
     def stop(self):
-        if self.faulty.now == DEVICE:
+        if self.faulty.now in (DEVICE, "power_cut"):
             raise RigTimeout("device: wanted readings, got none")
         return super().stop()
 
@@ -82,16 +82,14 @@ class Faulty:
 
     def inject(self):
         self.now = self.fault
-        if self.fault in ("stall", "power_cut"):
-            self.bench.faults.add(self.fault)
+        if self.fault == "power_cut":
+            self.bench.servo.powered = False
+            self.card.server.refuse_from_now_on()
         elif self.fault in CARD:
             self.card.fault = self.fault
-        if self.fault == "power_cut":
-            self.card.server.refuse_from_now_on()
 
     def clear(self):
         self.now = self.card.fault = ""
-        self.bench.faults.clear()
         if self.fault == "power_cut":
             self.card.start()
             self.card.server.accept_again()
@@ -172,15 +170,6 @@ def compare(found, uninterrupted):
 
 def true_rates(means):
     return (means - OFFSET[2]) / GAIN[2, 2]
-
-
-@pytest.mark.parametrize("error_dps", [0.25, -1.0, 60.0])
-def test_a_dwell_that_was_corrupted_does_not_pass_the_comparison(uninterrupted, error_dps):
-    compare(uninterrupted, uninterrupted)
-    stored, means, stated = uninterrupted
-    for dwell in range(4):
-        with pytest.raises(AssertionError):
-            compare((stored, means + error_dps * (np.arange(4) == dwell), stated), uninterrupted)
 
 
 @pytest.mark.parametrize("phases", [PHASES, pytest.param(OTHER_PHASES, marks=pytest.mark.slow)], ids=["main", "other"])

@@ -1,19 +1,13 @@
 """What a run survives: kill -9, a full disk, half-written pieces; and what a resume refuses."""
 
-import contextlib
-import errno
 import hashlib
-import io
 import itertools
 import json
 import os
 import random
-import re
 import shutil
 import signal
-import sys
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,143 +18,38 @@ import pytest
 from testkit.bench import FORKS
 from testkit.cards import TurningBoard, TurningCard
 from testkit.data import show
-from testkit.rig_bench import DEVICE, GAIN, OFFSET, RATE_HZ, SHORT, UP, at_rest, driven, run, simulated
-from testkit.talking_device import TalkingDevice
-from undrift.base.clock import Clock, PacedClock
+from testkit.rig_bench import DEVICE, GAIN, OFFSET, SHORT, UP, at_rest, driven, run, simulated
+from undrift.base.clock import PacedClock
 from undrift.errors import FileFormatError, InputError, LinkError
 from undrift.io.session import read_session
 from undrift.programme import Protocol, write_protocol
-from undrift.rig import folder as folder_file
-from undrift.rig.folder import SESSION, Head, RunFolder, read_journal, session_text
-from undrift.rig.lock import stop_rig
+from undrift.rig.folder import SESSION, RunFolder, read_journal
+from undrift.rig.lock import stopping_on_signals
 from undrift.sim.device.model import write_device
 from undrift.units import RADIAN_PER_DEGREE as DPS
 from undrift.units import STANDARD_GRAVITY
 
-TOGETHER_S = 0.02  # between two packets of the device, host s
 
+def command(words: list[str], folder: Path, killed_at: tuple[str, int] | None = None) -> tuple[int | None, str, str]:
+    """Run a command in a process of its own. Return the exit code, standard output and standard error.
 
-class BenchOnHost:
-    """A bench whose clock runs at a multiple of the host's: a card that drives the table, and a sending device, with +z
-    up.
+    With ``killed_at`` it ends by kill -9 in the n-th call of ``fsync`` or of the simulated bench's ``wait``.
     """
-
-    def __init__(self, speed: float) -> None:
-        self.speed = speed
-        self.bench = simulated(Clock.started(speed))
-        self.card = TurningCard(self.bench)
-        self.bench.readings[0].start()
-        self.device = SendingDevice(self)
-
-    def __enter__(self) -> "BenchOnHost":
-        return self
-
-    def __exit__(self, *failure: object) -> None:
-        self.device.__exit__()
-        self.card.server.close()
-
-    @property
-    def address(self) -> str:
-        """Return the address of the table."""
-        return f"{self.card.address}?clock_speed={self.speed:g}&reply_timeout_s=20"
-
-    def words(self, protocol: Path, path: Path, *more: str) -> list[str]:
-        """Return the call of a run."""
-        device = f"{self.device.address}&clock_speed={self.speed:g}"
-        return ["rig", "run", str(protocol), "--rig", self.address, "--device", device, "-o", str(path), "--yes", *more]
-
-    def turn_rate(self) -> float:
-        """Return the true rate of the axis, rad/s."""
-        with self.card.lock:
-            return self.bench.turn_rate()
-
-    def at_rest(self, *, motor_on: bool = False) -> bool:
-        """Wait until the axis is at rest with its motor off, or also on. Return False if this never happens."""
-        return until(lambda: abs(self.turn_rate()) <= 2e-3 and (motor_on or not self.bench.servo.powered))
-
-    def turning(self) -> bool:
-        """Wait until the axis turns. Return False if this never happens."""
-        return until(lambda: abs(self.turn_rate()) > 0.2)
+    out, err = (folder / f"{name} of {time.monotonic_ns()}" for name in ("out", "err"))
+    process = FORKS.Process(target=_called, args=(words, out, err, killed_at))
+    process.start()
+    process.join(120.0)
+    return process.exitcode, out.read_text(), err.read_text()
 
 
-class SendingDevice(TalkingDevice):
-    """The device of a bench, sending to all that listen."""
-
-    def __init__(self, host: BenchOnHost) -> None:
-        self.host = host
-        super().__init__(RATE_HZ)
-
-    def _talk(self) -> None:
-        readings = self.host.bench.readings[0]
-        while not self._end.wait(TOGETHER_S):
-            with self.host.card.lock:
-                self.host.bench.advance()
-                chunks, readings._kept = readings._kept, []
-            rows = ((count, *row) for counts, values in chunks for count, row in zip(counts, values, strict=True))
-            lines = "".join(",".join(f"{x:.9g}" for x in row) + "\n" for row in rows)
-            for client in list(self._clients):
-                with contextlib.suppress(OSError):
-                    client.sendall(lines.encode())
-
-
-def until(condition: Callable[[], object], within_s: float = 60.0) -> bool:
-    """Wait for a condition, host s."""
-    last = time.monotonic() + within_s
-    while not condition():
-        if time.monotonic() > last:
-            return False
-        time.sleep(0.005)
-    return True
-
-
-class Command:
-    """A command that runs in a process of its own, and finds an Enter whenever it asks.
-
-    With ``killed_at`` it ends by kill -9 in the n-th call of ``fsync`` or, on a simulated bench, of the clock's ``wait``. No
-    file may grow beyond ``largest_file`` bytes.
-    """
-
-    def __init__(
-        self, words: list[str], folder: Path, *, killed_at: tuple[str, int] | None = None, largest_file: int = 0
-    ) -> None:
-        self._out, self._err = (folder / f"{name} of {time.monotonic_ns()}" for name in ("out", "err"))
-        self._process = FORKS.Process(target=_called, args=(words, self._out, self._err, killed_at, largest_file))
-        self._process.start()
-
-    @property
-    def ended(self) -> bool:
-        """Whether it has ended."""
-        return self._process.exitcode is not None
-
-    def signal(self, number: int) -> None:
-        """Send a signal to the process, if it is still running."""
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(self._process.pid, number)
-
-    def kill(self) -> None:
-        """End it with kill -9."""
-        self.signal(signal.SIGKILL)
-        self._process.join(30.0)
-
-    def result(self) -> tuple[int | None, str, str]:
-        """Wait for the end. Return the exit code, standard output and standard error."""
-        self._process.join(120.0)
-        return self._process.exitcode, self._out.read_text(), self._err.read_text()
-
-
-def _called(words: list[str], out: Path, err: Path, killed_at: tuple[str, int] | None, largest_file: int) -> None:
+def _called(words: list[str], out: Path, err: Path, killed_at: tuple[str, int] | None) -> None:
     """Be the command."""
     from undrift.cli.app import main
 
-    sys.stdin = io.StringIO("\n" * 100)
     for number, path in ((1, out), (2, err)):
         os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT), number)
     if killed_at:
         _kill_in_call(*killed_at)
-    if largest_file:
-        import resource
-
-        resource.setrlimit(resource.RLIMIT_FSIZE, (largest_file, largest_file))
     main(words)
 
 
@@ -207,9 +96,7 @@ def test_kill_9_loses_nothing_and_a_resume_completes(tmp_path, protocol, wanted)
     while True:
         # in a call of the clock's wait while the run moves and reads, or of fsync while it writes
         killed_at = (chance.choice(("wait", "fsync")), chance.randrange(1, 60)) if len(kills) < wanted else None
-        code, out, err = Command(
-            simulated_run(protocol, path, "--resume", "--json"), tmp_path, killed_at=killed_at
-        ).result()
+        code, out, err = command(simulated_run(protocol, path, "--resume", "--json"), tmp_path, killed_at)
         assert code in (0, -signal.SIGKILL), err
         now = {piece.step: piece.sha256 for piece in read_journal(path / SESSION)[1]}
         lost += len(kept.items() - now.items())
@@ -268,94 +155,23 @@ def test_a_table_whose_program_died_comes_to_rest_within_the_dwell(tmp_path, con
     assert bench.turn_rate() == 0.0
 
 
-# ---- Processes that drive a card over a socket.
-
-
-@pytest.fixture(scope="module")
-def bench():
-    """Return a bench that other processes drive; each test leaves it at rest."""
-    with BenchOnHost(5.0) as bench:
-        yield bench
-
-
 @needs_signals
-@pytest.mark.parametrize("way", ["SIGTERM", "SIGTSTP", "rig stop"])
-def test_a_signal_or_a_stop_ends_at_rest_with_what_was_done(bench, tmp_path, protocol, way):
-    process = Command(bench.words(protocol, tmp_path / "run"), tmp_path)
-    assert bench.turning()
-    if way == "rig stop":
-        stop_rig(bench.address)
-    else:
-        process.signal(getattr(signal, way))
-    code, _, err = process.result()
-    assert code == 130, err
-    assert "stopped. No file was left incomplete" in err
-    assert bench.at_rest()
-    assert len(read_session(tmp_path / "run").records) >= 2
-
-
-@needs_signals
-def test_more_signals_during_the_end_change_neither_it_nor_the_exit_code(bench, tmp_path, protocol):
-    process = Command(bench.words(protocol, tmp_path / "run"), tmp_path)
-    assert bench.turning()
-    while not process.ended:
-        process.signal(signal.SIGINT)
-        time.sleep(0.01)
-    code, _, err = process.result()
-    assert code == 130, err
-    assert err.splitlines()[-1] == "undrift: stopped. No file was left incomplete."
-    assert bench.at_rest()
-
-
-@needs_signals
-def test_after_kill_9_the_controller_ends_the_dwell_and_a_second_run_was_refused(bench, tmp_path, protocol):
-    process = Command(bench.words(protocol, tmp_path / "run"), tmp_path)
-    assert bench.turning()
-    code, _, err = Command(bench.words(protocol, tmp_path / "other"), tmp_path).result()
-    process.kill()
-    assert (code, "in use by undrift rig run into" in err) == (3, True)
-    assert not (tmp_path / "other").exists()
-    assert bench.at_rest(motor_on=True)
-    stop_rig(bench.address)
-    assert bench.at_rest()
-
-
-@pytest.mark.slow
-def test_a_whole_run_over_sockets_reads_the_true_device(bench, tmp_path, protocol):
-    code, _, err = Command(bench.words(protocol, tmp_path / "run"), tmp_path).result()
-    assert code == 0, err
-    assert_true(read_session(tmp_path / "run"))
-
-
-# ---- Disks, and folders that are not what a resume needs.
-
-
-@needs_signals
-def test_a_file_that_may_not_grow_is_a_clear_error_in_a_process_of_its_own(tmp_path, protocol):
-    process = Command(simulated_run(protocol, tmp_path / "run"), tmp_path, largest_file=6000)
-    code, _, err = process.result()
-    assert code == 2, err
-    assert re.search("cannot write a dwell", err)
-
-
-def test_a_full_disk_stops_the_table_and_says_what_to_do(tmp_path, monkeypatch):
-    real = folder_file.write_parquet
-
-    def full(record, path):
-        real(record, path)
-        if path.name == "0005.parquet":
-            raise OSError(errno.ENOSPC, "No space left on device")
-
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGTSTP", "SIGINT"])
+def test_signals_end_a_run_at_rest_with_what_was_done(tmp_path, name):
     bench = simulated()
-    with monkeypatch.context() as patched:
-        patched.setattr(folder_file, "write_parquet", full)
-        with pytest.raises(InputError, match=r"No space left on device.*Free space"):
-            run(bench, tmp_path / "run")
+    card, number = TurningCard(bench), getattr(signal, name)
+
+    def report(progress):
+        if (progress.phase, progress.number) in (("dwelling", 4), ("closing", 4)):  # another one during the end
+            os.kill(os.getpid(), number)
+
+    with pytest.raises(KeyboardInterrupt, match=name), stopping_on_signals():
+        run(bench, tmp_path, report=report, rig=lambda: driven(card))
     assert at_rest(bench)
-    assert [turn.axis for turn in read_session(tmp_path / "run").turns] == ["z", "z"]
-    result, _ = run(bench, tmp_path / "run", resume=True)
-    assert (result.added, len(result.pieces)) == (3, 7)
-    assert os.listdir(tmp_path / "run" / "aside") == ["0005.parquet"]
+    assert len(read_session(tmp_path).records) == 3
+
+
+# ---- Folders that are not what a resume needs.
 
 
 @pytest.fixture(scope="module")
@@ -404,7 +220,7 @@ def test_two_programs_never_write_into_one_folder(tmp_path, protocol):
     with RunFolder(path, SHORT) as first:
         with pytest.raises(InputError, match="another run is writing"):
             RunFolder(path, SHORT, resume=True)
-        code, _, err = Command(simulated_run(protocol, path), tmp_path).result()
+        code, _, err = command(simulated_run(protocol, path), tmp_path)
         assert (code, "another run is writing" in err) == (2, True)
     assert first.pieces == ()
     result, _ = run(simulated(), path)
@@ -436,13 +252,6 @@ def test_a_session_that_was_changed_is_refused(finished):
     with pytest.raises(InputError, match="contains a run"):
         RunFolder(finished, SHORT)
     assert len(os.listdir(finished / "pieces")) == 7
-
-
-@pytest.mark.parametrize(("gravity_m_s2", "written_down"), [(None, False), (9.81, True)])
-def test_a_session_contains_gravity_only_if_it_was_set(gravity_m_s2, written_down):
-    text = session_text(Head(protocol="p", rig="r", gravity_m_s2=gravity_m_s2), ())
-    assert ("gravity_m_s2 = 9.81" in text) is written_down
-    assert ("gravity" in text) is written_down
 
 
 def test_a_folder_without_dwells_is_an_empty_folder(tmp_path):

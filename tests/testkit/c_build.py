@@ -9,6 +9,7 @@ import numpy as np
 from undrift.export.c import ExportedC
 
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"]
+UNDEFINED = ("-O1", "-fsanitize=undefined,float-cast-overflow", "-fno-sanitize-recover=all")
 TYPES = {"float": np.dtype("f4"), "double": np.dtype("f8")}
 MAIN = """
 #include <stdio.h>
@@ -87,18 +88,26 @@ def build(exported: ExportedC, folder: Path, arithmetic: str, *options: str) -> 
     return Build(program, arithmetic)
 
 
+def run_program(exported: ExportedC, folder: Path, arithmetic: str, inputs, row, *, main: str, options=("-O1",)):
+    """Compile an export with a program of its own, and return what it writes for inputs, as rows of a type."""
+    write(exported, folder)
+    (folder / "main.c").write_text(main)
+    sources, program = [folder / "undrift.c", folder / "main.c"], folder / f"program_{arithmetic}"
+    words = ["gcc", *STRICT, *options, f"-DUNDRIFT_{arithmetic.upper()}", *sources, "-o", program]
+    subprocess.run(words, check=True)
+    done = subprocess.run([program], input=inputs.tobytes(), capture_output=True, check=True, timeout=120)
+    assert done.stderr == b""
+    rows = np.frombuffer(done.stdout, row)
+    assert len(rows) == len(inputs)
+    return rows
+
+
 def run_with_lag(exported: ExportedC, folder: Path, arithmetic: str, r):
     """Rate, specific force and temperature of the program, and the inputs as it was given them, times included."""
-    write(exported, folder)
-    (folder / "main.c").write_text(LAG_MAIN)
-    sources = [folder / "undrift.c", folder / "main.c"]
-    words = ["gcc", *STRICT, "-O2", f"-DUNDRIFT_{arithmetic.upper()}", *sources, "-o", folder / "lead"]
-    subprocess.run(words, check=True)
     parts = np.column_stack((r.gyro, r.accel, r.temp_c, np.diff(r.time, prepend=r.time[0])))
     inputs = parts.astype(TYPES[arithmetic])
-    done = subprocess.run([folder / "lead"], input=inputs.tobytes(), capture_output=True, check=True)
-    assert done.stderr == b""
-    out = np.frombuffer(done.stdout, TYPES[arithmetic]).astype(float).reshape(-1, 7)
+    row = np.dtype((TYPES[arithmetic], 7))
+    out = run_program(exported, folder, arithmetic, inputs, row, main=LAG_MAIN, options=("-O2",)).astype(float)
     given = inputs.astype(float)
     same = replace(
         r, gyro=given[:, :3], accel=given[:, 3:6], temp_c=given[:, 6], time=r.time[0] + np.cumsum(given[:, 7])

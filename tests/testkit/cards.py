@@ -62,10 +62,8 @@ class Card:
             return f" {int(self.poll())}.0000\r\n:".encode()
         if result := re.fullmatch(r"MG _([A-Z]{2})X?", command):
             return f" {float(self.held[result.group(1)]):.4f}\r\n:".encode()
-        if command == BOTH:
-            return f"{int(self.held['TP']): 011d} {0: 011d}\r\n:".encode()  # its clock stands still
-        if command == "MG _TEX{F10.0}":
-            return f"{int(self.held['TE']): 011d}\r\n:".encode()
+        if result := re.fullmatch(r"MG _(TP|TE)X\{F10.0\}", command):
+            return f"{int(self.held[result.group(1)]): 011d}\r\n:".encode()
         if result := re.fullmatch(r"(TS|SC)X", command):
             return f" {int(self.held[result.group(1)]):03d}\r\n:".encode()
         if result := re.fullmatch(r"([A-Z]{2}) \?", command):
@@ -97,14 +95,10 @@ class Card:
         return b":"
 
 
-BOTH = "MG _TPX{F10.0},TIME{F10.0}"  # a position and when it was, in one answer
-
-
 class TurningCard(Card):
     """A card that turns the table of a simulated bench. Each move takes its time and ends by itself.
 
-    ``fault`` is a fault of the card: ``limit_switch`` (the forward switch) or ``abort_input``. A stalled amplifier is a
-    fault of the bench.
+    ``fault`` is ``limit_switch`` (the forward switch), ``abort_input`` or ``stall`` (of the amplifier: the axis coasts).
     """
 
     def __init__(self, bench: SimulatedBench) -> None:
@@ -127,13 +121,12 @@ class TurningCard(Card):
     def answer(self, command: str) -> bytes:
         bench, servo = self.bench, self.bench.servo
         bench.advance()
-        if self.fault and servo.moving:
+        servo.powered &= self.fault != "stall"
+        if self.fault in ("limit_switch", "abort_input") and servo.moving:
             self.act("STX" if self.fault == "limit_switch" else "AB")
             self.why = 2 if self.fault == "limit_switch" else 6
         if self.on and not servo.powered:  # the amplifier failed: the following error passed its limit
             self.on, self.why = False, 8
-        if command == BOTH:
-            return f"{servo.count: 011d} {int(1e3 * servo.time): 011d}\r\n:".encode()
         switches = 0x0C - 0x08 * (self.fault == "limit_switch") + 0x20 * (not servo.powered)
         self.held |= {"TP": str(servo.count), "TE": str(round(servo.error)), "MO": str(int(not servo.powered))}
         self.held |= {"TS": str(switches), "SC": str(0 if servo.moving else self.why)}

@@ -3,11 +3,13 @@
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from unittest import mock
 
 import numpy as np
 
 from testkit.virtual_clock import VirtualClock
 from undrift.programme import Protocol, programme_of
+from undrift.rig import chamber as chamber_file
 from undrift.rig.chamber import ChamberSetup
 from undrift.rig.folder import RunFolder
 from undrift.rig.rig import Limits, RigSettings, open_rig
@@ -150,14 +152,15 @@ def run(
     resume=False,
     report=lambda progress: None,
     chamber=None,
-    device_lag_s=0.0,
+    after_air_s=0.0,
     readings=Device,
     hands=None,
     rig=None,
 ):
     """Run a protocol on a bench, with its own table or a driver. Return the result and the operator."""
     hands = hands or Hands(bench)
-    with RunFolder(path, protocol, resume=resume) as folder:
+    after_air = mock.patch.object(chamber_file, "AFTER_AIR_S", after_air_s)
+    with RunFolder(path, protocol, resume=resume) as folder, after_air:
         table = rig() if rig else bench.table
         connected = RigBench(rig=table, mounting=hands, chamber=chamber, clock=bench.clock)
         mounted = Mounted(readings=readings(bench), folder=folder, serial="made")
@@ -167,7 +170,6 @@ def run(
             mounted,
             report=report,
             gravity_m_s2=STANDARD_GRAVITY,
-            device_lag_s=device_lag_s,
         )
     return result, hands
 

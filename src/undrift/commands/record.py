@@ -6,21 +6,19 @@ recording. At the end, it is converted to the requested file. The format of a de
 """
 
 import math
-import signal
-import threading
 import time
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Literal, Self, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from undrift.base.options import OptionalOutput
 from undrift.commands.bench.capture import Capture
 from undrift.commands.bench.guides import Guide, Poses, SixFaces, Turns
-from undrift.commands.bench.source import LiveDevice, Status
+from undrift.commands.bench.source import LiveDevice, Status, found_devices
 from undrift.commands.calibrate import calibrate
 from undrift.commands.files import Place, check_output
 from undrift.errors import InputError, LinkError, UndriftError
@@ -28,10 +26,11 @@ from undrift.io.column_map import ColumnMap
 from undrift.io.formats import read_record
 from undrift.io.session import gravity_of
 from undrift.io.write import write_record_as
-from undrift.live import transports
 from undrift.live.log import described_address
+from undrift.live.transports import serial_ports
 from undrift.record import Record
 from undrift.report import Report, Table
+from undrift.rig.lock import stopping_on_signals, uninterrupted
 from undrift.screen import screen
 
 LOOK_S = 0.2  # between two looks at the device, host s
@@ -107,58 +106,33 @@ def record(
 
 
 def address_of(address: str | None) -> str:
-    """Return an address with its kind: that of a named port, or of the only port."""
-    candidates = [name for name, _ in transports.serial_ports()] if address is None else [address]
-    if len(candidates) != 1:
-        raise InputError(
-            f"record: expected one serial port, got {len(candidates)} ({', '.join(candidates)}). Name the device."
-        )
-    (name,) = candidates
-    return f"serial://{name}" if name.startswith("/") or name.upper().startswith("COM") else name
+    """Return an address with its kind: the given address, or the only serial port."""
+    if address is None:
+        ports = [name for name, _ in serial_ports()]
+        if len(ports) != 1:
+            raise InputError(
+                f"record: expected one serial port, got {len(ports)} ({', '.join(ports)}). Name the device."
+            )
+        (address,) = ports
+    return f"serial://{address}" if address.startswith("/") or address.upper().startswith("COM") else address
 
 
 def _senders() -> Report:
     """List the available devices, and the reasons why some kinds could not be searched."""
     screen().over("Looking for serial ports and LSL streams ...")
-    rows, notes = list[tuple[str, str, str]](), list[str]()
-    for kind, find in (("serial port", transports.serial_ports), ("LSL stream", transports.lsl_streams)):
-        try:
-            rows += [(kind, name if kind == "serial port" else f"lsl:{name}", device) for name, device in find()]
-        except LinkError as error:
-            notes.append(str(error))
+    devices, notes = found_devices()
     screen().over("")
-    ports = [address for kind, address, _ in rows if kind == "serial port"]
-    answer = f"Serial ports: {len(ports)}, LSL streams: {len(rows) - len(ports)}."
+    ports = [(name.removeprefix("serial://"), text) for name, text in devices if name.startswith("serial:")]
+    streams = [device for device in devices if device[0].startswith("lsl:")]
+    rows = [("serial port", *port) for port in ports] + [("LSL stream", *stream) for stream in streams]
+    answer = f"Serial ports: {len(ports)}, LSL streams: {len(streams)}."
     return Report(
         title="What can be recorded",
         answer=answer if rows else "No device was found. Connect the device, or name its address.",
         tables=[Table(title="Devices", columns=("kind", "address", "device"), rows=rows)],
         notes=notes,
-        next_command=("record", ports[0], "-o", "walk.parquet") if ports else (),
+        next_command=("record", ports[0][0], "-o", "walk.parquet") if ports else (),
     )
-
-
-class _CtrlC:
-    """The first Ctrl-C ends a recording. Further signals shortly after, or while the file is written, are ignored."""
-
-    def __init__(self) -> None:
-        self.deaf, self._before = False, signal.getsignal(signal.SIGINT)
-        alone = threading.current_thread() is threading.main_thread()
-        self._hears = alone and callable(self._before)  # not where it is ignored (nohup)
-
-    def __enter__(self) -> Self:
-        if self._hears:
-            signal.signal(signal.SIGINT, self._heard)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._hears:
-            signal.signal(signal.SIGINT, self._before)
-
-    def _heard(self, *_: object) -> None:
-        if not self.deaf:
-            self.deaf = True
-            raise KeyboardInterrupt
 
 
 class _Recording:
@@ -181,39 +155,44 @@ class _Recording:
 
     def run(self, guides: Guides, duration_s: float) -> tuple[Record, Status]:
         """Record until the end, and write the file. Errors that end it early are raised with the state of the file."""
-        with _CtrlC() as ctrl_c:
-            return self._run(guides, duration_s, ctrl_c)
-
-    def _run(self, guides: Guides, duration_s: float, ctrl_c: _CtrlC) -> tuple[Record, Status]:
-        self.source.write_to(self.file)
-        try:
-            self.source.start()
-            self.ended = self._watch(guides, duration_s)
-        except KeyboardInterrupt:
-            self.ended = "stopped"
-        finally:
-            ctrl_c.deaf = True
-            self.screen.over(self.shown, last=True)
-            status, full = self.source.status(), ""
+        with stopping_on_signals():
+            self.source.write_to(self.file)
             try:
-                self.source.stop()
-            except InputError as error:
-                full = str(error)
-        full = full or status.file_error
+                self.source.start()
+                self.ended = self._watch(guides, duration_s)
+            except KeyboardInterrupt:
+                self.ended = "stopped"
+            finally:
+                with uninterrupted():
+                    status, full = self._stop()
+            with uninterrupted():
+                return self._finish(status, full), status
+
+    def _stop(self) -> tuple[Status, str]:
+        """Stop the device. Return its last state, and the error if the disk is full."""
+        self.screen.over(self.shown, last=True)
+        status = self.source.status()
+        try:
+            self.source.stop()
+        except InputError as error:
+            return status, str(error)
+        return status, status.file_error
+
+    def _finish(self, status: Status, full: str) -> Record:
+        """Write the requested file and return its readings."""
         try:
             record, where, failed = self._read_back(full)
         except UndriftError as error:
-            got = (
-                full
-                or f"{self.source.name}: fewer than two readings arrived before the recording was stopped. Try again."
+            too_few = (
+                f"{self.source.name}: fewer than two readings arrived before the recording was stopped. Try again."
             )
-            raise InputError(got) from error
+            raise InputError(full or too_few) from error
         remaining = f"the {record.duration_s:.1f} s until then are in {where}"
         if failed:
             raise InputError(f"{failed} ({remaining})")
         if self.ended == "lost":
             raise LinkError(f"{status.error} ({remaining})")
-        return record, status
+        return record
 
     def report(self, record: Record, status: Status) -> Report:
         """Return how long and how complete a recording is."""

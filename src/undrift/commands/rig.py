@@ -4,24 +4,25 @@ A run shows its position on the screen, and asks its operator there.
 """
 
 from contextlib import ExitStack, suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 from cyclopts import Parameter
 
-from undrift.base.options import Output, options
+from undrift.base.options import Output
 from undrift.commands.files import device_at
 from undrift.errors import InputError
-from undrift.live.recorder import DwellReadings, Recorder, RecorderSettings
+from undrift.findings import finding, told_apart
+from undrift.live.recorder import DwellReadings, Recorder
 from undrift.live.transports import source_at
 from undrift.plugins import split_address
-from undrift.programme import Dwell, Mount, Programme, ProgrammeSettings, Soak, programme_of, read_protocol
+from undrift.programme import Dwell, Mount, Programme, Soak, programme_of, read_protocol
 from undrift.report import Estimate, Report, Table
 from undrift.report.figures import draw_rig_run
 from undrift.rig.chamber import ChamberSetup, open_chamber
-from undrift.rig.check import CheckSettings, check_rig
+from undrift.rig.check import ACCELERATION, check_rig
 from undrift.rig.folder import RecordedDwell, RunFolder
 from undrift.rig.lock import one_run, stop_rig, stopping_on_signals
 from undrift.rig.manual import AskedOperator
@@ -30,37 +31,19 @@ from undrift.rig.run import Mounted, Progress, RigBench, RunResult, run_programm
 from undrift.rig.simulated import SimulatedBench, SimulatedSettings
 from undrift.screen import screen
 from undrift.sim.device.presets import PRESETS, random_device
-from undrift.units import RADIAN_PER_DEGREE
+from undrift.units import RADIAN_PER_DEGREE as DPS
 
 TableAddress: TypeAlias = Annotated[str, Parameter(help="Address of the table.")]
-
 
 DWELL_COLUMNS = (
     "dwell", "purpose", "up", "samples", "missing", "nominal (deg/s)", "achieved (deg/s)", "temperature (degC)"
 )  # fmt: skip
-WAVE_DPS2 = 2300.0  # acceleration of the run-ups of the step wave, deg/s2
 HIGHEST_DPS, HIGHEST_DPS2 = 360.0, 5000.0  # default limits for a table without other limits
 
 
-@options
-@dataclass(frozen=True, kw_only=True)
-class Shaft:
-    """Angular range of a table.
-
-    Parameters
-    ----------
-    travel_deg : float or None
-        Largest angle of the table in either direction, deg. Unlimited by default.
-    """
-
-    travel_deg: float | None = None
-
-    def settings(self, turn_rate_dps: float, acceleration_dps2: float) -> RigSettings:
-        """Return the settings of a table with its limits."""
-        dps = RADIAN_PER_DEGREE
-        travel = None if self.travel_deg is None else self.travel_deg * dps
-        limits = Limits(turn_rate=turn_rate_dps * dps, acceleration=acceleration_dps2 * dps, travel=travel)
-        return RigSettings(limits=limits)
+def _limits(turn_rate_dps: float, acceleration_dps2: float, travel_deg: float | None) -> Limits:
+    travel = None if travel_deg is None else travel_deg * DPS
+    return Limits(turn_rate=turn_rate_dps * DPS, acceleration=acceleration_dps2 * DPS, travel=travel)
 
 
 def run(
@@ -74,7 +57,7 @@ def run(
     serial: str = "",
     highest_turn_rate_dps: float = HIGHEST_DPS,
     highest_acceleration_dps2: float = HIGHEST_DPS2,
-    shaft: Shaft = Shaft(),
+    travel_deg: float | None = None,
     resume: bool = False,
     yes: bool = False,
 ) -> Report:
@@ -103,43 +86,44 @@ def run(
         Largest commanded rate, deg/s.
     highest_acceleration_dps2 : float
         Largest commanded acceleration, deg/s2.
+    travel_deg : float or None
+        Largest angle of the table in either direction, deg. Unlimited by default.
     resume : bool
         Continue in the folder of an interrupted run.
     yes : bool
         Start without asking.
     """
 
-    protocol_content, settings = (
-        read_protocol(protocol),
-        shaft.settings(highest_turn_rate_dps, highest_acceleration_dps2),
-    )
-    display = _Display()
-    kind, _, options = parse_address(rig, replace(settings, ask=display.ask))
-    settings, limits, manual = (
-        replace(settings, ask=display.ask, clock=options.clock),
-        settings.limits,
-        kind == "manual",
-    )
+    plan, display = read_protocol(protocol), _Display()
+    limits = _limits(highest_turn_rate_dps, highest_acceleration_dps2, travel_deg)
+    settings = RigSettings(limits=limits, ask=display.ask)
+    kind, _, options = parse_address(rig, settings)
+    by_hand = kind == "manual"
     simulated = _simulated_bench(device, (rig, chamber), options)
-    programme = programme_of(protocol_content, ProgrammeSettings(encoder_lines=options.encoder_lines))
+    programme = programme_of(plan)
     if not resume:
-        check_programme(programme, limits, by_hand=manual)  # before there is a folder
+        check_programme(programme, limits, by_hand=by_hand)  # before there is a folder
     paths = _folders(output, device, serial)
     with ExitStack() as stack:
         stack.enter_context(one_run(rig, f"undrift rig run into {output}"))
-        folders = [stack.enter_context(RunFolder(path, protocol_content, resume=resume)) for path in paths.values()]
+        folders = [stack.enter_context(RunFolder(path, plan, resume=resume)) for path in paths]
         done = frozenset.intersection(*(folder.done for folder in folders))
-        check_programme(programme, limits, done, by_hand=manual)
+        check_programme(programme, limits, done, by_hand=by_hand)
         display.plan(programme, done, yes)
         stack.enter_context(stopping_on_signals())
         if simulated is None:
-            devices = [_connect(stack, *pair, programme) for pair in zip(paths, folders, strict=True)]
-            bench = _bench(stack, (rig, chamber), settings, display, programme, resume=resume)
+            longest_s = max(dwell.duration_s for dwell in programme.dwells)
+            devices = [_connect(stack, url, folder, longest_s) for url, folder in zip(device, folders, strict=True)]
+            settings = replace(settings, clock=options.clock, accept="on" if resume else "off")
+            bench = _bench(stack, (rig, chamber), settings, programme)
         else:
-            bench, devices = _parts_of_simulated_bench(simulated, folders, with_chamber=chamber is not None)
+            oven = None if chamber is None else simulated.chamber
+            bench = RigBench(rig=simulated.table, mounting=simulated, chamber=oven, clock=simulated.clock)
+            parts = zip(simulated.devices, simulated.readings, folders, strict=True)
+            devices = [Mounted(readings=r, folder=folder, serial=d.model.serial) for d, r, folder in parts]
         devices[0].serial = serial or devices[0].serial
         results = run_programme(programme, bench, *devices, report=display)
-    return run_report(dict(zip(paths.values(), results, strict=True)))
+    return run_report(dict(zip(paths, results, strict=True)))
 
 
 def run_report(results: dict[Path, RunResult]) -> Report:
@@ -150,7 +134,7 @@ def run_report(results: dict[Path, RunResult]) -> Report:
     missing = sum(piece.missing for piece in result.pieces)
     answer = (
         f"{len(result.pieces)} dwells are in {folder}, {result.added} of them recorded now, in {_clock(result.duration_s)}. "
-        f"Achieved rates differ from nominal rates by up to {difference / RADIAN_PER_DEGREE:.3g} deg/s. "
+        f"Achieved rates differ from nominal rates by up to {difference / DPS:.3g} deg/s. "
         f"{missing} readings are missing."
     )
     tables = [
@@ -180,29 +164,28 @@ def run_report(results: dict[Path, RunResult]) -> Report:
 def _dwell_row(piece: RecordedDwell) -> tuple[Any, ...]:
     rates: tuple[Any, ...] = (None, None)
     if piece.purpose == "rate":
-        achieved = Estimate(piece.turn_rate / RADIAN_PER_DEGREE, piece.turn_rate_uncertainty / RADIAN_PER_DEGREE)
-        rates = (piece.nominal_turn_rate / RADIAN_PER_DEGREE, achieved)
+        achieved = Estimate(piece.turn_rate / DPS, piece.turn_rate_uncertainty / DPS)
+        rates = (piece.nominal_turn_rate / DPS, achieved)
     temp_c = piece.temp_c if piece.device_c is None else piece.device_c
     return (piece.name, piece.purpose, piece.up, piece.samples, piece.missing, *rates, temp_c)
 
 
-def _folders(output: Path, device: str | tuple[str, ...], serial: str) -> dict[str, Path]:
-    """Return the folder of each device by its address. In Python, a single text is accepted."""
-    sources = (device,) if isinstance(device, str) else device
-    if len(sources) > 1 and (serial or len({*sources}) < len(sources)):
+def _folders(output: Path, device: tuple[str, ...], serial: str) -> list[Path]:
+    """Return the folder of each device."""
+    if len(device) == 1:
+        return [output]
+    if serial or len({*device}) < len(device):
         raise InputError(
             "rig run: several devices need different addresses and no `serial`. Set each serial number in the "
             "address of its device."
         )
-    return {url: output / f"device-{k}" if len(sources) > 1 else output for k, url in enumerate(sources, start=1)}
+    return [output / f"device-{number}" for number in range(1, len(device) + 1)]
 
 
 def _simulated_bench(
-    device: str | tuple[str, ...], addresses: tuple[str, str | None], options: RigSettings
+    devices: tuple[str, ...], addresses: tuple[str, str | None], options: RigSettings
 ) -> SimulatedBench | None:
     """Create a simulated bench if the table is simulated. All parts of a bench must be simulated, or none."""
-
-    devices = (device,) if isinstance(device, str) else device
     texts = [text for text in (*addresses, *devices) if text is not None]
     simulated = [text.startswith("simulated:") for text in texts]
     if not any(simulated):
@@ -214,42 +197,28 @@ def _simulated_bench(
         )
     models, settings = [], SimulatedSettings(limits=options.limits)
     for text in devices:
-        told = dict(split_address(text, "device", {"simulated": ""}, "", "Name how it is connected")[2])
+        options_of_device = dict(split_address(text, "device", {"simulated": ""}, "", "Name how it is connected")[2])
+        name = options_of_device.pop("device", "")
         try:
-            seed, tilt_deg = int(told.pop("seed", "0")), float(told.pop("tilt_deg", "0"))
+            seed, tilt_deg = int(options_of_device.pop("seed", "0")), float(options_of_device.pop("tilt_deg", "0"))
         except ValueError as error:
             raise InputError(
                 f"device: expected numbers for seed and tilt_deg, got '{text}'. Correct the address."
             ) from error
-        name = told.pop("device", "")
-        if told:
+        if options_of_device:
             raise InputError(
                 f"device: expected the options seed, device and tilt_deg only, got '{text}'. Correct the address."
             )
         rng = np.random.default_rng(seed)
         models.append(device_at(name, rng, draw=name in PRESETS) if name else random_device(rng, grade="consumer"))
-        settings = replace(settings, seed=seed, mount_tilt_sd=tilt_deg * RADIAN_PER_DEGREE)
+        settings = replace(settings, seed=seed, mount_tilt_sd=tilt_deg * DPS)
     return SimulatedBench(models, settings, options.timing)
 
 
-def _parts_of_simulated_bench(
-    bench_parts: SimulatedBench, folders: list[RunFolder], *, with_chamber: bool
-) -> tuple[RigBench, list[Mounted]]:
-    """Return the parts of a simulated bench for a run, and its devices with their folders."""
-
-    chamber = bench_parts.chamber if with_chamber else None
-    bench = RigBench(rig=bench_parts.table, mounting=bench_parts, chamber=chamber, clock=bench_parts.clock)
-    rows = zip(bench_parts.devices, bench_parts.readings, folders, strict=True)
-    return bench, [
-        Mounted(readings=readings, folder=folder, serial=model.model.serial) for model, readings, folder in rows
-    ]
-
-
-def _connect(stack: ExitStack, address: str, folder: RunFolder, programme: Programme) -> Mounted:
-    """Connect a device."""
-
-    source, longest_s = source_at(address), max(dwell.duration_s for dwell in programme.dwells)
-    recorder = Recorder(source, RecorderSettings(keep_s=max(600.0, 2.0 * longest_s)))
+def _connect(stack: ExitStack, address: str, folder: RunFolder, longest_s: float) -> Mounted:
+    """Connect a device. Its readings are stored for at least two dwells."""
+    source = source_at(address)
+    recorder = Recorder(source, keep_s=max(600.0, 2.0 * longest_s))
     recorder.start()
     readings = DwellReadings(recorder)
     stack.callback(readings.close)
@@ -257,29 +226,20 @@ def _connect(stack: ExitStack, address: str, folder: RunFolder, programme: Progr
 
 
 def _bench(
-    stack: ExitStack,
-    addresses: tuple[str, str | None],
-    settings: RigSettings,
-    display: "_Display",
-    programme: Programme,
-    *,
-    resume: bool,
+    stack: ExitStack, addresses: tuple[str, str | None], settings: RigSettings, programme: Programme
 ) -> RigBench:
     """Connect chamber, operator and, last, the table."""
-
     rig, chamber = addresses
-    clock = parse_address(rig, settings)[2].timing
+    ask, clock = screen().ask, parse_address(rig, settings)[2].timing
     oven = None
     if chamber is not None:
         slopes = [step.slope_c_per_min for step in programme.steps if isinstance(step, Soak)]
         slope = min(slopes, default=ChamberSetup().slope_c_per_min)
-        oven = open_chamber(chamber, ChamberSetup(slope_c_per_min=slope, clock=clock), ask=display.ask)
+        oven = open_chamber(chamber, ChamberSetup(slope_c_per_min=slope, clock=clock), ask=ask)
         stack.callback(oven.close)
-    mounting = AskedOperator(display.ask)
-    # a run that was killed leaves its motor on
-    table = open_rig(rig, replace(settings, accept="on" if resume else "off"))
+    table = open_rig(rig, settings)
     stack.callback(table.close)
-    return RigBench(rig=table, mounting=mounting, chamber=oven, clock=clock)
+    return RigBench(rig=table, mounting=AskedOperator(ask), chamber=oven, clock=clock)
 
 
 class _Display:
@@ -329,7 +289,7 @@ def check(
     seconds: float = 60.0,
     turn_rate_dps: float = 90.0,
     limit_deg: float = 0.012,
-    shaft: Shaft = Shaft(),
+    travel_deg: float | None = None,
 ) -> Report:
     """Check a table with a servo: following error in a step wave, with gains and sample period. The table turns.
 
@@ -343,25 +303,28 @@ def check(
         Rate of the wave in both directions, deg/s. Faster rates are never commanded.
     limit_deg : float
         Largest following error at steady rate, deg. If it is exceeded, the exit code is 1.
+    travel_deg : float or None
+        Largest angle of the table in either direction, deg. Unlimited by default.
     """
-
-    rig_settings = shaft.settings(turn_rate_dps, WAVE_DPS2)
-    settings = CheckSettings(
-        turn_rate=rig_settings.limits.turn_rate,
-        duration_s=seconds,
-        acceleration=rig_settings.limits.acceleration,
-        limit=limit_deg * RADIAN_PER_DEGREE,
-    )
-    kind, _, rig_settings = parse_address(rig, rig_settings)
+    wave_dps2 = ACCELERATION / DPS
+    kind, _, settings = parse_address(rig, RigSettings(limits=_limits(turn_rate_dps, wave_dps2, travel_deg)))
     if kind == "manual":
         raise InputError("rig check: expected a table with a motor, got manual:. Name the address of a table.")
     with ExitStack() as stack:
         stack.enter_context(one_run(rig, "undrift rig check"))
         stack.enter_context(stopping_on_signals())
-        table = open_rig(rig, replace(rig_settings, accept="on"))
+        table = open_rig(rig, replace(settings, accept="on"))
         stack.callback(table.close)
-        result = check_rig(table, rig_settings.timing, settings, screen().over)
-    rms_deg, largest_deg = result.rms / RADIAN_PER_DEGREE, result.largest / RADIAN_PER_DEGREE
+        wave = {"turn_rate": turn_rate_dps * DPS, "duration_s": seconds}
+        result = check_rig(table, settings.timing, **wave, report=screen().over)
+    servo, largest_deg = result.servo, result.largest / DPS
+    failed = finding(
+        "rig_check.error",
+        "fail",
+        f"The following error is up to {told_apart(largest_deg, '.4f', limit_deg)} deg at steady rate (limit {limit_deg:g} deg).",
+        "Check friction, load and gains of the table.",
+        largest_deg=largest_deg,
+    )
     return Report(
         title="Acceptance of a table",
         answer=f"{result.identity}: the following error in a step wave of {turn_rate_dps:g} deg/s for {seconds:g} s is "
@@ -370,28 +333,20 @@ def check(
             Table(
                 title="Following error (deg)",
                 columns=("rms", "largest at steady rate", "limit", "largest in the run-ups"),
-                rows=[(rms_deg, largest_deg, limit_deg, result.in_run_up / RADIAN_PER_DEGREE)],
+                rows=[(result.rms / DPS, largest_deg, limit_deg, result.in_run_up / DPS)],
                 form=".4f",
-            ),
-            Table(
-                title="Servo",
-                columns=("KP", "KD", "KI", "sample period (us)"),
-                rows=[(result.servo.kp, result.servo.kd, result.servo.ki, 1e6 * result.servo.sample_s)],
-                form="g",
-            ),
+            )
         ],
-        findings=result.verdict.findings,
+        notes=[
+            f"The servo has KP {servo.kp:g}, KI {servo.ki:g}, KD {servo.kd:g} and a sample period of {1e6 * servo.sample_s:g} us."
+        ],
+        findings=[failed] if largest_deg > limit_deg else [],
         judged=True,
         data={
             "rig": rig,
             "identity": result.identity,
-            "wave": {
-                "seconds": seconds,
-                "turn_rate_dps": turn_rate_dps,
-                "achieved_dps": result.turn_rate / RADIAN_PER_DEGREE,
-                "acceleration_dps2": WAVE_DPS2,
-            },
-            "servo": asdict(result.servo),
+            "achieved_dps": result.turn_rate / DPS,
+            "servo": asdict(servo),
         },
     )
 

@@ -1,36 +1,17 @@
-"""Targets of ``undrift export``, each with a name and a function that writes the file.
+"""What firmware and other programs read from a calibration: the targets of ``undrift export``.
 
     c            C source of the correction in float and double
     arduino      a library folder with the same source and a sketch
-    firmware     constants of correction/plan.py with tables that firmware can look up quickly
     constants    matrix and offset at one temperature, as JSON and as a C header
-    losses       parts of a calibration that a target does not contain, with numbers
 
-Input: a ``Calibration``, for readings in the device's unit and frame b. Output: the text of a file with numbers in the units of the
-receiving program, rad/s and m/s2 for C. Open c first.
-
-A target is a module with ``TARGET = Target(endings=(".bin",), write=write)`` and a row in ``TARGETS``. Another package
-can add a target with the entry-point group ``undrift.targets`` (see ``plugins.py``). ``write`` takes the calibration,
-the options of the command line and the name of the file, and returns ``Exported``.
+Input: a ``Calibration``, for readings in the device's unit and frame b. Output: the text of the files, with numbers in rad/s and
+m/s2, and the parts of the calibration that they do not contain. Open c first.
 """
 
-from collections.abc import Callable
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-from undrift.errors import InputError
-from undrift.plugins import load_named, names_in
-
-if TYPE_CHECKING:
-    from undrift.export.losses import Exported
-    from undrift.model import Calibration
-
-TARGETS = {
-    "c": "undrift.export.c:TARGET",
-    "arduino": "undrift.export.arduino:TARGET",
-    "constants": "undrift.export.constants:TARGET",
-}
-GROUP = "undrift.targets"
+from undrift.model import NO_TABLES, Calibration
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,39 +21,62 @@ class ExportOptions:
     Parameters
     ----------
     prefix : str
-        c: prefix of all names, in lower case.
-    gyro_unit : str or None
-        c: unit of the gyroscope readings if the calibration has no gyroscope model, rad/s by default.
-    accel_unit : str or None
-        c: unit of the accelerometer readings if the calibration has no accelerometer model, m/s2 by default.
+        c and a header of constants: prefix of all names, in lower case.
     temp_c : float or None
         constants: temperature at which tables are read, degC, the reference temperature by default.
     """
 
     prefix: str = "undrift"
-    gyro_unit: str | None = None
-    accel_unit: str | None = None
     temp_c: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Target:
-    """File endings and write function of a target."""
+class Exported:
+    """Files for another program.
 
-    endings: tuple[str, ...] = ()  # endings of the file
-    folder: bool = False  # the output is a folder with the files of ``Exported.tree``
-    more: tuple[str, ...] = ()  # endings of the further files, as many as ``Exported.more``
-    write: "Callable[[Calibration, ExportOptions, str], Exported]"  # the last argument is the name of the file
+    Parameters
+    ----------
+    files : mapping
+        Text of each file, by its name next to the output. For a library, by its name in the new folder.
+    not_carried : tuple of str
+        Parts of the calibration that the files do not contain, one sentence each.
+    notes : tuple of str
+        Requirements for the user of the files.
+    """
+
+    files: Mapping[str, str]
+    not_carried: tuple[str, ...]
+    notes: tuple[str, ...] = ()
 
 
-def find_target(name: str) -> Target:
-    """Return the target with a name."""
-    names = names_in(TARGETS, GROUP)
-    if name not in names:
-        raise InputError(f"target: unknown target '{name}'. Use one of {', '.join(names)}.")
-    target = load_named(name, TARGETS, GROUP)
-    if not isinstance(target, Target):
-        raise InputError(
-            f"{name}: expected a Target of undrift.export, got {target!r}. Correct the package that adds it."
-        )
-    return target
+def not_in_firmware(calibration: Calibration) -> tuple[str, ...]:
+    """Return the parts of a calibration that no target contains."""
+    noise = () if calibration.noise is None else ("noise coefficients",)
+    return "uncertainties, marks of extrapolation and the verdict", *noise
+
+
+def not_in_constants(calibration: Calibration) -> tuple[str, ...]:
+    """Return the parts of a calibration that constants at one temperature do not contain."""
+    return *_beyond_constants(calibration), *not_in_firmware(calibration)
+
+
+def _beyond_constants(calibration: Calibration) -> Iterator[str]:
+    drift = calibration.drift or NO_TABLES
+    codes = [triad.model is not None and triad.model.code_offset is not None for triad in calibration.triads]
+    truncated = [triad.lsb is not None and triad.rounding == "toward_zero" for triad in calibration.triads]
+    if any(codes) or any(truncated):
+        yield "half a code step for codes that are truncated toward zero"
+    if calibration.gyro is not None and calibration.gyro.moving_offset is not None:
+        yield "the change of the offset from motion to rest, so rates at rest are wrong by it"
+    if calibration.magnetometer is not None:
+        yield "hard iron, soft iron, alignment and lag of the magnetometer"
+    if drift.static is not None:
+        yield "offsets over temperature (the static table)"
+        if drift.static.warm_up is not None:
+            yield "the extra offset after power-on"
+    if drift.scale is not None:
+        yield "gains and cross-axis terms over temperature (the scale table)"
+    if drift.dynamic is not None:
+        yield "error over rate and temperature (the dynamic table)"
+    if drift.lag_s > 0.0:
+        yield f"the thermometer's lag of {drift.lag_s:.3g} s (remove it from the temperature first)"

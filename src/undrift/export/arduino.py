@@ -10,15 +10,12 @@ The folder is copied into the folder "libraries" of the sketchbook. The sketch r
 2 g. It converts them to the unit of the calibration, and corrects them.
 """
 
-from datetime import UTC, datetime
-
 from jinja2 import Environment, PackageLoader
 
 from undrift import __version__
 from undrift.errors import InputError
-from undrift.export import ExportOptions, Target
-from undrift.export.c import export_c
-from undrift.export.losses import Exported
+from undrift.export import Exported, ExportOptions
+from undrift.export.c import export_c, utc_now
 from undrift.model import Calibration
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -34,10 +31,10 @@ UNITS = {
 
 def write_arduino(calibration: Calibration, options: ExportOptions, name: str) -> Exported:
     """Return the files of the library by their names in the folder."""
-    header, date = f"{options.prefix}.h", datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    exported = export_c(calibration, options, header_name=header, date=date)
-    gyro_unit = calibration.gyro.unit_in if calibration.gyro else options.gyro_unit or "rad/s"
-    accel_unit = calibration.accel.unit_in if calibration.accel else options.accel_unit or "m/s2"
+    header = f"{options.prefix}.h"
+    exported = export_c(calibration, options, header_name=header, date=utc_now())
+    gyro_unit = calibration.gyro.unit_in if calibration.gyro else "rad/s"
+    accel_unit = calibration.accel.unit_in if calibration.accel else "m/s2"
     for unit in (gyro_unit, accel_unit):
         if unit not in UNITS:
             raise InputError(f"arduino: expected readings in {', '.join(UNITS)}, got {unit}. Use the target c.")
@@ -53,14 +50,11 @@ def write_arduino(calibration: Calibration, options: ExportOptions, name: str) -
         "gyro_factor": f"{UNITS[gyro_unit]:.9g}",
         "accel_factor": f"{UNITS[accel_unit]:.9g}",
     }
-    tree = {
+    files = {
         "library.properties": environment.get_template("arduino.properties.j2").render(parts),
         "keywords.txt": f"{options.prefix}_correct\tKEYWORD2\n{options.prefix}_t\tKEYWORD1\n",
         f"src/{header}": exported.header,
         f"src/{options.prefix}.c": exported.source,
         "examples/Corrected/Corrected.ino": environment.get_template("arduino.ino.j2").render(parts),
     }
-    return Exported(text="", tree=tree, not_carried=exported.not_carried, notes=exported.notes)
-
-
-TARGET = Target(folder=True, write=write_arduino)
+    return Exported(files=files, not_carried=exported.not_carried, notes=exported.notes)

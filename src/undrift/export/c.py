@@ -3,15 +3,19 @@
 The source evaluates the model of ``correction/correct.py`` in the same order: rounding, static table and warm-up, matrix or scale
 table, g-sensitivity, dynamic table. Beyond its ends, a table is constant. The source allocates no memory, calls no library and
 keeps no state. The time of a table lookup does not depend on the data. A separate function removes a thermometer's lag, with a
-state that the caller owns (export/firmware.py). Another one adds the change of the offset from motion to rest. The warm-up requires
+state that the caller owns. Another one adds the change of the offset from motion to rest. The warm-up requires
 a second entry function, to which the caller passes the time since power-on. Two builds are possible: ``-DUNDRIFT_FLOAT`` and
 ``-DUNDRIFT_DOUBLE``.
+
+If the nodes of a table are whole multiples of a step, the table is converted to the even grid that contains them all, and a
+multiplication finds the cell. If this would more than double the memory, bisection finds the cell, in a fixed number of steps.
 """
 
 import re
 import textwrap
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from pathlib import PurePath
 from typing import Any
 
 import numpy as np
@@ -19,11 +23,87 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.correction.plan import Constants, LookupTable, TableAxis, constants_of
 from undrift.errors import InputError
-from undrift.export import ExportOptions, Target, firmware
-from undrift.export.losses import Exported, Part, losses
-from undrift.model import SENSORS, Calibration, Sensor
+from undrift.export import Exported, ExportOptions, not_in_firmware
+from undrift.model import SENSORS, Calibration
 from undrift.segments import TURNING_ABOVE, TURNING_HOLD_S, TURNING_MEAN_S
-from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, canonical_unit, is_physical
+from undrift.units import RADIAN_PER_DEGREE, SI_UNIT
+
+# ---- Constants of the correction (correction/plan.py), with tables that can be looked up in constant time.
+
+TABLES = ("offset_table", "matrix_table", "error_table", "warm_up_table")
+
+
+def named_tables(constants: Constants) -> list[tuple[str, LookupTable]]:
+    """Return names and values of the tables in the constants."""
+    return [(name, getattr(constants, name)) for name in TABLES if getattr(constants, name) is not None]
+
+
+def triads_of(calibration: Calibration) -> tuple[Constants | None, Constants | None]:
+    """Return the constants of gyroscopes and accelerometers for firmware, None for a triad without a model."""
+    if calibration.gyro is None and calibration.accel is None:
+        raise InputError("export: no model of gyroscopes or accelerometers. Calibrate first.")
+    gyro, accel = (
+        None if triad.model is None else _on_grids(constants_of(calibration, name))
+        for name, triad in zip(SENSORS, calibration.triads, strict=True)
+    )
+    return gyro, accel
+
+
+def _on_grids(constants: Constants) -> Constants:
+    """Return the constants with tables for fast lookup. Raise InputError if any of them contains NaN."""
+    tables = named_tables(constants)
+    parts = [constants.matrix, *(table.values for _, table in tables), constants.half_step, constants.g_sensitivity]
+    parts += [constants.offset] if constants.offset_table is None else []
+    missing = sum(int(np.isnan(array).sum()) for array in parts if array is not None)
+    if missing:
+        raise InputError(
+            f"export: the model of the {constants.name} contains {missing} NaN. Calibrate the missing parameters.",
+            missing=missing,
+        )
+    findable: dict[str, Any] = {name: table.evened() for name, table in tables}
+    return replace(constants, **findable)
+
+
+def stride_of(axis: TableAxis) -> int:
+    """Return the first stride of a bisection: the largest power of two below the number of cells, at least 1."""
+    return 1 << max(0, (axis.cells - 1).bit_length() - 1)
+
+
+# ---- Lead filter, which removes a thermometer's lag. It is equivalent to the filter of drift/temperature.py.
+#
+# With the low-passed reading z, d = x - z, a = dt / smooth and g = lag / smooth:
+#
+#     d = e^-a d + m (x - x_before)     m = (1 - e^-a) / a          y = x + (g - 1) d
+#
+# The state has two numbers. At steady temperature d is small, so the rounding errors of float are also small.
+
+SHORTEST_S, LONGEST_S = 1e-3, 1e5  # range of smoothing times for the accuracy of float, s
+MOST_GAIN = 2.0**15
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lead:
+    """Constants of the lead filter."""
+
+    lag_s: float  # time constant of the thermometer, s
+    smooth_s: float  # time constant of the smoothing, s
+    gain: float  # g - 1
+    rate: float  # inverse of the smoothing time constant, 1/s
+
+
+def lead_of(calibration: Calibration) -> Lead | None:
+    """Return the lead filter of a calibration, or None if it has no lag or no tables."""
+    drift = calibration.drift
+    if drift is None or not drift.lag_s > 0.0 or (drift.static, drift.scale, drift.dynamic) == (None, None, None):
+        return None
+    smooth = drift.lag_smooth_s
+    if not (SHORTEST_S <= smooth <= LONGEST_S and drift.lag_s / smooth <= MOST_GAIN):
+        raise InputError(
+            f"export c: smoothing must be {SHORTEST_S:g} to {LONGEST_S:g} s and lag at most {MOST_GAIN:g} times that, got a lag of "
+            f"{drift.lag_s:g} s with smoothing over {smooth:g} s. Fit the lag again."
+        )
+    return Lead(lag_s=drift.lag_s, smooth_s=smooth, gain=drift.lag_s / smooth - 1.0, rate=1.0 / smooth)
+
 
 # ---- C text: literals, arrays, table lookups and safe comments.
 
@@ -65,7 +145,7 @@ class Printer:
         if axis.even:
             even = f"{start}, {c}({literal(float(axis.inverse[0]))})"
             return f"{mark}{cell} = {self.prefix}_cell({x}, {even}, {axis.cells}, &{fraction});"
-        inner = f"{x}, {name}, {name}_inverse, {axis.cells}, {firmware.stride_of(axis)}, &{fraction}"
+        inner = f"{x}, {name}, {name}_inverse, {axis.cells}, {stride_of(axis)}, &{fraction}"
         return f"{mark}{cell} = {self.prefix}_search({inner});"
 
 
@@ -99,11 +179,6 @@ def check_prefix(prefix: str) -> None:
 
 # ---- Export of the C source.
 
-CARRIED: frozenset[Part] = frozenset(
-    ("lag", "warm-up", "moving", "rounding", "static", "scale", "dynamic", "g", "gain", "cross", "accel gain", "accel cross",
-     "magnetometer")
-)  # fmt: skip
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ExportedC:
@@ -129,7 +204,7 @@ def export_c(
     calibration : Calibration
         Calibration of the device.
     options : ExportOptions
-        Default arithmetic, prefix of names, units of a triad without a model.
+        Prefix of names.
     header_name : str
         Name of the header file, for the source's include.
     date : str
@@ -143,8 +218,7 @@ def export_c(
     Raises
     ------
     InputError
-        If the model is missing or contains NaN, if a unit is given for a triad with a model, if the prefix is not an identifier, or
-        if a number is beyond the range of float.
+        If the model is missing or contains NaN, if the prefix is not an identifier, or if a number is beyond the range of float.
 
     Examples
     --------
@@ -159,9 +233,8 @@ def export_c(
     check_prefix(options.prefix)
     notes: list[str] = []
     prefix = options.prefix
-    gyro, accel = (_triad_of(calibration, options, name, notes) for name in SENSORS)
-    triads = [accel, gyro]
-    lead = firmware.lead_of(calibration)
+    gyro, accel = _nominal_if_missing(calibration, notes)
+    lead = lead_of(calibration)
     if lead is not None:
         notes.append(
             f"{prefix}_temperature removes the thermometer's lag of {lead.lag_s:.3g} s. Pass every temperature through it "
@@ -182,36 +255,54 @@ def export_c(
             f"{prefix}_magnetometer corrects the magnetometer (uT to uT, in the axes of the gyroscopes). Pass the corrected rate "
             "at the same time with each reading"
         )
-    not_carried = losses(calibration, CARRIED)
+    not_carried = not_in_firmware(calibration)
+    parts = _parts(calibration, [accel, gyro], options.prefix, lead)
+    parts |= {"header": header_name, "date": date, "notes": (*not_carried, *notes)}
+    environment = _environment()
+    lines = environment.get_template("comment.j2").render(parts).splitlines()
+    comment = [comment_text(piece) for line in lines for piece in wrapped(line)]
+    source = environment.get_template("undrift.c.j2").render(parts)
     return ExportedC(
-        header=_header(triads, calibration, options, (*not_carried, *notes), lead, date),
-        source=_source(triads, calibration, options, header_name, lead),
+        header=environment.get_template("undrift.h.j2").render(parts, comment=comment),
+        source=re.sub(r"\n{3,}", "\n\n", source),
         not_carried=not_carried,
         notes=tuple(notes),
     )
 
 
-def _triad_of(calibration: Calibration, options: ExportOptions, name: Sensor, notes: list[str]) -> Constants:
-    """Return a triad. Without a model, return nominal constants and add a note."""
-    triad = firmware.triads_of(calibration)[SENSORS.index(name)]
-    unit = options.gyro_unit if name == "gyro" else options.accel_unit
-    if triad is not None and unit is not None:
-        raise InputError(
-            f"export c: the {name} model already has the unit {triad.unit_in}, got {unit}. Omit {name}_unit.",
-            wanted=triad.unit_in,
-            got=unit,
-        )
-    if triad is None:  # readings in a physical unit are only converted to SI
-        what, quantity = "gyroscopes" if name == "gyro" else "accelerometers", calibration.triad(name).quantity
-        unit_name = canonical_unit(unit or SI_UNIT[quantity], quantity)
-        if not is_physical(unit_name):
-            raise InputError(
-                f"export: the {name} has no model and requires a physical unit, got {unit}. Calibrate it, or set the unit "
-                "of the firmware's readings."
-            )
-        triad = constants_of(calibration, name, unit_name)
-        notes.append(f"{what} have no model, so {name}_raw is read in {unit_name}, with nominal values")
-    return triad
+def _parts(calibration: Calibration, triads: list[Constants], prefix: str, lead: Lead | None) -> dict[str, Any]:
+    """Return what the templates print."""
+    accel, gyro = triads
+    tables = [table for triad in triads for _, table in named_tables(triad)]
+    axes = [axis for table in tables for _, axis in _axes(table)]
+    printer, warm_up = Printer(prefix), gyro.warm_up_table
+    return {
+        "title": f"Correction of the inertial sensor {comment_text(calibration.device) or '(no serial number)'}",
+        "created": calibration.provenance.created, "verdict": calibration.verdict.status,
+        "p": prefix, "P": prefix.upper(), "triads": triads, "accel": accel, "gyro": gyro, "span": _span,
+        "lead": lead, "lag_s": f"{lead.lag_s:g}" if lead else "", "smooth_s": f"{lead.smooth_s:g}" if lead else "",
+        "warm_up": warm_up is not None, "warm_s": f"{warm_up.temp.stop:g}" if warm_up else "",
+        "at_rest": gyro.at_rest, "moving": gyro.at_rest is not None, "mag": calibration.magnetometer,
+        "turning": (TURNING_ABOVE, TURNING_MEAN_S, TURNING_HOLD_S),
+        "above": f"{TURNING_ABOVE / RADIAN_PER_DEGREE:g}", "held": f"{TURNING_HOLD_S:g}",
+        "any_even": any(axis.even for axis in axes), "any_search": any(not axis.even for axis in axes),
+        "any_line": any(table.turn_rate is None for table in tables),
+        "any_plane": any(table.turn_rate is not None for table in tables),
+        "tables_of": named_tables, "axes_of": _axes, "reals_of": printer.reals, "lookup": printer.lookup, "literal": literal,
+    }  # fmt: skip
+
+
+def _nominal_if_missing(calibration: Calibration, notes: list[str]) -> list[Constants]:
+    """Return gyroscopes and accelerometers. A triad without a model is read in SI units with nominal values, and noted."""
+    constants = list[Constants]()
+    for name, triad in zip(SENSORS, triads_of(calibration), strict=True):
+        if triad is None:
+            unit = SI_UNIT[calibration.triad(name).quantity]
+            what = "gyroscopes" if name == "gyro" else "accelerometers"
+            notes.append(f"{what} have no model, so {name}_raw is read in {unit}, with nominal values")
+            triad = constants_of(calibration, name, unit)
+        constants.append(triad)
+    return constants
 
 
 def _environment() -> Any:
@@ -234,58 +325,6 @@ def _axes(table: LookupTable, what: str = "") -> list[tuple[str, Any]]:
     ]
 
 
-def _source(
-    triads: list[Constants],
-    calibration: Calibration,
-    options: ExportOptions,
-    header_name: str,
-    lead: firmware.Lead | None,
-) -> str:
-    printer = Printer(options.prefix)
-    tables = [table for triad in triads for _, table in firmware.named_tables(triad)]
-    axes = [axis for table in tables for _, axis in _axes(table)]
-    accel, gyro = triads
-    text = _environment().get_template("undrift.c.j2").render(
-        title=_title(calibration), header=header_name, p=options.prefix, P=options.prefix.upper(),
-        triads=triads, accel=accel, gyro=gyro, at_rest=gyro.at_rest, turning=(TURNING_ABOVE, TURNING_MEAN_S, TURNING_HOLD_S),
-        any_even=any(axis.even for axis in axes), any_search=any(not axis.even for axis in axes),
-        any_line=any(table.turn_rate is None for table in tables),
-        any_plane=any(table.turn_rate is not None for table in tables),
-        tables_of=firmware.named_tables, reals_of=printer.reals, axes_of=_axes,
-        lead=lead, literal=literal, lookup=printer.lookup, mag=calibration.magnetometer,
-    )  # fmt: skip
-    return re.sub(r"\n{3,}", "\n\n", text)
-
-
-def _title(calibration: Calibration) -> str:
-    return f"Correction of the inertial sensor {comment_text(calibration.device) or '(no serial number)'}"
-
-
-def _header(
-    triads: list[Constants],
-    calibration: Calibration,
-    options: ExportOptions,
-    notes: tuple[str, ...],
-    lead: firmware.Lead | None,
-    date: str,
-) -> str:
-    gyro = triads[1]
-    warm = gyro.warm_up_table
-    about = {
-        "title": _title(calibration), "date": date, "p": options.prefix,
-        "P": options.prefix.upper(), "triads": triads, "created": calibration.provenance.created, "lead": lead,
-        "verdict": calibration.verdict.status, "notes": notes, "span": _span,
-        "lag_s": f"{lead.lag_s:g}" if lead else "", "smooth_s": f"{lead.smooth_s:g}" if lead else "",
-        "warm_up": warm is not None, "warm_s": f"{warm.temp.stop:g}" if warm else "",
-        "moving": gyro.at_rest is not None,
-        "mag": calibration.magnetometer is not None,
-        "above": f"{TURNING_ABOVE / RADIAN_PER_DEGREE:g}", "held": f"{TURNING_HOLD_S:g}",
-    }  # fmt: skip
-    lines = _environment().get_template("comment.j2").render(about).splitlines()
-    comment = [comment_text(piece) for line in lines for piece in wrapped(line)]
-    return str(_environment().get_template("undrift.h.j2").render(about, comment=comment))
-
-
 def _span(tables: list[LookupTable]) -> str:
     if not tables:
         return "without a table"
@@ -302,10 +341,11 @@ def write_c(calibration: Calibration, options: ExportOptions, name: str) -> Expo
         raise InputError(
             f"{name}: the name of a C header may contain only letters, digits, -, _ and . (full stop). Rename it."
         )
-    exported = export_c(calibration, options, header_name=name, date=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"))
-    return Exported(
-        text=exported.header, more=(exported.source,), not_carried=exported.not_carried, notes=exported.notes
-    )
+    exported = export_c(calibration, options, header_name=name, date=utc_now())
+    files = {name: exported.header, str(PurePath(name).with_suffix(".c")): exported.source}
+    return Exported(files=files, not_carried=exported.not_carried, notes=exported.notes)
 
 
-TARGET = Target(endings=(".h",), more=(".c",), write=write_c)
+def utc_now() -> str:
+    """Return the current time in UTC, as in a comment."""
+    return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")

@@ -16,13 +16,10 @@ import numpy as np
 from undrift.arrays import FloatArray, interpolated
 from undrift.correction.plan import Constants, LookupTable
 from undrift.errors import InputError
-from undrift.export import ExportOptions, Target
-from undrift.export.c import check_prefix, comment_text
-from undrift.export.firmware import triads_of
-from undrift.export.losses import Exported, Part, losses
+from undrift.export import Exported, ExportOptions, not_in_constants
+from undrift.export.c import check_prefix, comment_text, triads_of
 from undrift.model import Calibration
 
-CARRIED: frozenset[Part] = frozenset(("gain", "cross", "accel gain", "accel cross", "g"))
 UNIT_OUT = {"gyro": "rad/s", "accel": "m/s2"}
 
 
@@ -86,7 +83,7 @@ def write_constants(calibration: Calibration, options: ExportOptions, name: str)
         text = _header(calibration, pair, options.prefix)
     else:
         text = _json(calibration, pair)
-    return Exported(text=text, not_carried=losses(calibration, CARRIED), notes=tuple(notes))
+    return Exported(files={name: text}, not_carried=not_in_constants(calibration), notes=tuple(notes))
 
 
 def _json(calibration: Calibration, pair: ConstantPair) -> str:
@@ -127,6 +124,3 @@ def _header(calibration: Calibration, pair: ConstantPair, prefix: str) -> str:
 def _array(name: str, values: FloatArray) -> str:
     rows = ["{" + ", ".join(f"{float(x):.9e}f" for x in row) + "}" for row in np.atleast_2d(values)]
     return f"static const float {name} = " + (rows[0] if values.ndim == 1 else "{" + ", ".join(rows) + "}") + ";"
-
-
-TARGET = Target(endings=(".json", ".h"), write=write_constants)

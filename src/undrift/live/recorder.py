@@ -12,13 +12,12 @@ import itertools
 import logging
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.base.clock import HOST, Clock, Repeat
-from undrift.errors import InputError, LinkError, RigTimeout, UndriftError, check_positive
+from undrift.errors import InputError, LinkError, RigTimeout, UndriftError
 from undrift.live.clock import Block, Timeline
 from undrift.live.transports import Source
 from undrift.record import Record
@@ -27,22 +26,14 @@ log = logging.getLogger(__name__)
 READ_S, WAKE_S, STOP_S = 0.2, 0.2, 32.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RecorderSettings:
-    """Settings of a recorder."""
-
-    silence_s: float = 5.0  # longest time without a valid reading before the device counts as lost, host s
-    keep_s: float = 600.0  # duration of the stored readings, device s
-
-    def __post_init__(self) -> None:
-        check_positive(self, "recorder", "Set a positive value", "silence_s", "keep_s")
-
-
 class Recorder:
-    """Recorder of a device from ``start`` to ``stop``, also a context manager. A thread reads, and any thread may ask."""
+    """Recorder of a device from ``start`` to ``stop``, also a context manager. A thread reads, and any thread may ask.
 
-    def __init__(self, source: Source, settings: RecorderSettings = RecorderSettings(), clock: Clock = HOST) -> None:
-        self.source, self.settings = source, settings
+    A device without a valid reading for `silence_s` host seconds is lost. Readings are stored for `keep_s` device seconds.
+    """
+
+    def __init__(self, source: Source, *, silence_s: float = 5.0, keep_s: float = 600.0, clock: Clock = HOST) -> None:
+        self.source, self._silence_s, self._keep_s = source, silence_s, keep_s
         self.timeline = Timeline(source.description)
         self._clock = clock
         self._reader: Repeat | None = None
@@ -71,7 +62,7 @@ class Recorder:
         try:
             self._heard = self.now()
             self._reader = self._clock.repeat(self._read, "device-reader")
-            self._wait(lambda: bool(self._ring), self.settings.silence_s + 2.0 * READ_S, "a first reading")
+            self._wait(lambda: bool(self._ring), self._silence_s + 2.0 * READ_S, "a first reading")
         except BaseException:  # includes Ctrl-C, so that no thread remains
             self.stop()
             raise
@@ -104,11 +95,10 @@ class Recorder:
             last = fit.device_time(stop)
             first = fit.device_time(start) if first is None else max(first, self._first_after(start))
             if first < self._forgotten:
-                keep_s = self.settings.keep_s
                 raise InputError(
                     f"readings: the start was {self.now() - start:.1f} s ago, but the recorder stores only "
-                    f"{keep_s:g} device seconds. Increase keep_s.",
-                    keep_s=keep_s,
+                    f"{self._keep_s:g} device seconds. Increase keep_s.",
+                    keep_s=self._keep_s,
                 )
             blocks = [block for block in self._ring if block.time[-1] >= first and block.time[0] <= last]
         times, values = _joined(blocks)
@@ -167,7 +157,7 @@ class Recorder:
         try:
             chunk = self.source.read(READ_S)
         except UndriftError as error:
-            if isinstance(error, RigTimeout) and self.now() - self._heard <= self.settings.silence_s:
+            if isinstance(error, RigTimeout) and self.now() - self._heard <= self._silence_s:
                 return 0.0
             log.info("recorder: %s", error)
             with self._news:
@@ -183,7 +173,7 @@ class Recorder:
         if not len(block.time):
             return
         self._ring.append(block)
-        while self._ring[0].time[-1] < block.time[-1] - self.settings.keep_s:
+        while self._ring[0].time[-1] < block.time[-1] - self._keep_s:
             self._forgotten = float(self._ring.popleft().time[-1])
         self._news.notify_all()
 

@@ -11,7 +11,6 @@ session.toml contains the sha256 of each piece, and its first line contains its 
 later, and repeats a dwell whose file was deleted.
 """
 
-import errno
 import hashlib
 import json
 import os
@@ -26,7 +25,7 @@ from typing import Any, BinaryIO
 import tomli_w
 
 from undrift.errors import FileFormatError, InputError
-from undrift.files import errno_of, sha256_of, take_lock, write_whole
+from undrift.files import is_full, sha256_of, take_lock, write_whole
 from undrift.io.parquet import write_parquet
 from undrift.io.session import HeadEntry, StillEntry, TurnEntry, in_degrees, sealed, session_toml
 from undrift.programme import Protocol, Purpose, write_protocol
@@ -252,8 +251,7 @@ def disk_errors(path: Path) -> Iterator[None]:
         cause = error if isinstance(error, OSError) else error.__cause__
         if not isinstance(cause, OSError):
             raise
-        full = errno_of(cause) in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-        advice = "Free space on the disk" if full else "Check the disk"
+        advice = "Free space on the disk" if is_full(cause) else "Check the disk"
         raise InputError(
             f"{path}: cannot write a dwell ({cause.strerror or cause}). All earlier dwells are kept. "
             f"{advice} and continue with `resume`."

@@ -6,9 +6,8 @@ never moves a rig. Every number is rounded as the card rounds it before it is se
 
 A turn is a move by a known distance (SP, PR, BG), which the card ends itself, even if this program has ended.
 
-The achieved rate is the difference of positions (TP) over the difference of the card's clock (TIME), which the card returns in one
-answer. If an answer is late or corrupted, the driver stops the axis (ST, then AB) and switches the motor off (MO). It then reports
-if the card confirmed the stop.
+A position (TP) is timed half-way between question and answer. If an answer is late or corrupted, the driver stops the axis (ST,
+then AB) and switches the motor off (MO). It then reports if the card confirmed the stop.
 
 Sources: command references DMC-1400, 2x00 and 40x0.
 """
@@ -17,19 +16,15 @@ import contextlib
 import logging
 import math
 import re
-from collections.abc import Iterable
-from dataclasses import replace
 
-import numpy as np
-
+from undrift.base.clock import HOST, Clock
 from undrift.errors import InputError, LinkError, RigError, RigFault, RigTimeout
-from undrift.rig.link import Link, LinkedRig, LinkSettings, ask_until, end_of, link_settings
+from undrift.rig.link import Link, LinkedRig, ask_until
 from undrift.rig.rig import (
     ACCELERATION,
     LONGEST_MOVE,
     MOVE,
     SLEW,
-    Position,
     RigSettings,
     ServoReport,
     check_free,
@@ -45,7 +40,7 @@ BIT = r" *([01])(?:\.0{1,8})? *"
 BYTE = r" *(25[0-5]|2[0-4]\d|[01]?\d?\d)(?:\.0{1,8})? *"
 TEN_DIGITS = r" *(-?\d{10})"  # a fixed number of digits, so that a lost byte is detected
 QUESTIONS = {  # command, and form of its answer
-    "position and time": ("MG _TPx{F10.0},TIME{F10.0}", rf"{TEN_DIGITS} {TEN_DIGITS} *"),
+    "position": ("MG _TPx{F10.0}", rf"{TEN_DIGITS} *"),
     "following error": ("MG _TEx{F10.0}", rf"{TEN_DIGITS} *"),
     "is moving": ("MG _BGx", BIT),
     "is off": ("MG _MOx", BIT),
@@ -60,17 +55,21 @@ MODEL = r"([^?\x00-\x1f\x7f]+)"
 ERROR_CODE = r"\s*(\d{1,3})\b[^?]*"
 AXES = "ABCDEFGH"
 
-reply_end = end_of(rb"(?:^|\n)[:?]")  # prompt at the start of a line
 log = logging.getLogger(__name__)
 
 
 class GalilCard(Link):
     """Commands and questions for one axis of a card."""
 
-    def __init__(self, url: str, settings: LinkSettings = LinkSettings(), axis: str = "X") -> None:
+    terminator = "\r"
+    reply_end = re.compile(rb"(?:^|\n)[:?]")  # prompt at the start of a line
+
+    def __init__(
+        self, url: str, axis: str = "X", *, reply_timeout_s: float = 2.0, baud: int = 19200, clock: Clock = HOST
+    ) -> None:
         self.axis, self._token = axis, 41_000
         self._commas = "," * (AXES.index(axis) if axis in AXES else "XYZW".index(axis))
-        super().__init__(url, replace(settings, terminator="\r", reply_end=reply_end))
+        super().__init__(url, reply_timeout_s=reply_timeout_s, baud=baud, clock=clock)
 
     def ask(self, command: str, form: str = "") -> tuple[str, ...]:
         """Send a command and return the groups of its answer, which must have a form. By default, the form is a bare ``:``.
@@ -118,36 +117,13 @@ class GalilCard(Link):
         """Ask the card to print a number that was not used before, and discard all bytes before that number."""
         for attempt in range(3):
             self._token += 1
-            number = end_of(rb"(?<!\d)0*%d(?:\.0*)?[ ]*\r?\n:" % self._token)  # with leading zeros and decimals
+            number = re.compile(rb"(?<!\d)0*%d(?:\.0*)?[ ]*\r?\n:" % self._token)  # with leading zeros and decimals
             try:
                 self.exchange(f"MG {self._token}", until=number, anew=True)
                 return
             except RigTimeout:
                 if attempt == 2:
                     raise
-
-
-# ---- Clock of a card.
-
-OLD_SECOND = 1000.0 / 1024.0  # factor of old cards, which count milliseconds of 1/1024 s
-CRYSTAL = 2e-4  # largest relative difference between the clock rates of card and host, 1
-FINDING_S = 0.5  # longest search for the card's tick at the start, host s
-
-
-def matching_ticks(answers: Iterable[tuple[float, float, float]], sample_s: float) -> list[float]:
-    """Return the ticks, s, that agree with answers of TIME (ticks n, time of the question a, time of the answer b, s).
-
-    TIME counts samples or nominal milliseconds. On old cards a millisecond is 1/1024 s (DMC-1400 command reference, TM and TIME).
-    So the tick is 1 ms, 1000/1024 ms, TM or TM 1000/1024. Two answers bound it:
-
-        (a - b0) / (n - n0 + 1) <= tick <= (b - a0) / (n - n0 - 1)
-    """
-    n, asked, answered = np.array([*answers], dtype=float).T
-    count = n[-1] - n[:-1]
-    low = ((asked[-1] - answered[:-1]) / (count + 1.0)).max(initial=0.0)
-    high = ((answered[-1] - asked[:-1]) / np.maximum(count - 1.0, 0.5)).min(initial=math.inf)
-    candidates = {round(tick * factor, 12) for tick in (1e-3, sample_s) for factor in (1.0, OLD_SECOND)}
-    return [tick for tick in sorted(candidates) if low * (1.0 - CRYSTAL) <= tick <= high * (1.0 + CRYSTAL)]
 
 
 # ---- The rig.
@@ -167,11 +143,8 @@ class GalilRig(LinkedRig):
     unit = "counts"
 
     def __init__(self, card: GalilCard, settings: RigSettings = RigSettings()) -> None:
-        self.card, self._count = card, settings.count
+        self.card, self.rad_per_unit = card, settings.count
         self._acceleration = START_ACCELERATION  # of both ramps, counts/s2
-        self._home = 0.0
-        self._tick: tuple[float, float] | None = None  # tick of the card's clock and host time of tick 0, s
-        self._sample_s = math.nan  # sample period of the servo, s
         super().__init__(card, settings)
 
     def identify(self) -> str:
@@ -179,16 +152,10 @@ class GalilRig(LinkedRig):
         with self._guarded():
             return self.card.ask("\x12\x16", MODEL)[0].strip()
 
-    def position(self) -> Position:
-        """Return the angle since the rig was opened (TP), rad, and its time from the card's clock if its tick is known (TIME)."""
-        with self._guarded():
-            counts, time, within_s = self._read()
-        return Position(angle=(counts - self._home) * self._count, time=time, within_s=within_s)
-
     def following_error(self) -> float:
         """Return commanded minus actual angle (TE), rad."""
         with self._guarded():
-            return self.card.read("following error")[0] * self._count
+            return self.card.read("following error")[0] * self.rad_per_unit
 
     def fault(self) -> str | None:
         """Return a description of the faults (TS, SC), or None."""
@@ -203,7 +170,8 @@ class GalilRig(LinkedRig):
         """Return the gains (KP, KI, KD) and the sample period (TM) of the card."""
         with self._guarded():
             gains = {name: self.card.read(name)[0] for name in ("kp", "ki", "kd")}
-        return ServoReport(sample_s=self._sample_s, **gains)
+            sample_s = 1e-6 * self.card.read("sample period")[0]
+        return ServoReport(sample_s=sample_s, **gains)
 
     def enable(self, on: bool) -> None:
         """Switch the motor on (SH), or stop the axis and switch the motor off (MO)."""
@@ -219,33 +187,33 @@ class GalilRig(LinkedRig):
     def set_acceleration(self, acceleration: float) -> float:
         """Set acceleration (AC) and deceleration (DC), multiples of 1024 counts/s2."""
         self.limits.check_acceleration(acceleration)
-        counts = ACCELERATION.round(acceleration / self._count)
+        counts = ACCELERATION.round(acceleration / self.rad_per_unit)
         with self._guarded():
             self._set_ramps(counts)
-        return self._acceleration * self._count
+        return self._acceleration * self.rad_per_unit
 
     def turn_for(self, turn_rate: float, seconds: float) -> float:
         """Turn at a steady rate for a time that includes both ramps (SP, PR, BG), and return the rate set in the card."""
         self.limits.check_turn_rate(turn_rate)
-        speed = SLEW.round(turn_rate / self._count)
+        speed = SLEW.round(turn_rate / self.rad_per_unit)
         distance = MOVE.round(steady_angle(speed, seconds, self._acceleration))
-        self.limits.check_travel((self._last - self._home + distance) * self._count)
+        self._check_travel(distance)
         with self._guarded():
             if self._is_moving():
                 raise RigFault(f"{self.card.name}: the axis still moves. Stop it first.")
             actual = self.card.set("SP", abs(speed), tolerance=1)
             self.card.set("PR", distance)
             self._command("BG")
-        return math.copysign(actual, turn_rate) * self._count
+        return math.copysign(actual, turn_rate) * self.rad_per_unit
 
     def stop(self) -> None:
         """Slow down (ST) and wait until the axis is at rest. The motor stays on."""
         with self._guarded():
             self._stop()
-            before = self._read()[0]
+            before = self._read_position()
             for _ in range(50):  # the servo settles after the profile ends
                 self.clock.wait(0.02)
-                counts = self._read()[0]
+                counts = self._read_position()
                 if abs(counts - before) <= 1:
                     break
                 before = counts
@@ -253,7 +221,10 @@ class GalilRig(LinkedRig):
     def _prepare(self, settings: RigSettings) -> None:
         """Check that the table is free, configure the card and store the initial position. A running move is stopped."""
         card = self.card
-        self._fastest, self.slack = settings.limits.turn_rate / self._count, math.radians(10.0) / self._count
+        self._fastest, self.slack = (
+            settings.limits.turn_rate / self.rad_per_unit,
+            math.radians(10.0) / self.rad_per_unit,
+        )
         card.resynchronise()
         state = "moving" if self._is_moving() else "its motor on" if self._is_on() else ""
         check_free(card.name, state, settings)
@@ -262,51 +233,20 @@ class GalilRig(LinkedRig):
             card.resynchronise()
             if state == "moving":
                 self._stop()
-            card.set("ER", max(1, round(ERROR_LIMIT / self._count)), tolerance=1)
+            card.set("ER", max(1, round(ERROR_LIMIT / self.rad_per_unit)), tolerance=1)
             card.set("OE", 1)
-            self._set_ramps(ACCELERATION.round(min(START_ACCELERATION, self.limits.acceleration / self._count)))
+            self._set_ramps(ACCELERATION.round(min(START_ACCELERATION, self.limits.acceleration / self.rad_per_unit)))
             self._enabled = self._is_on()
-            self._find_clock()
-            self._home = self._read()[0]
+            self._home = self._read_position()
             forward, reverse = float(LONGEST_MOVE), -float(LONGEST_MOVE)  # no limits in effect
             if self.limits.travel is not None:
-                reach = int(self.limits.travel / self._count)
+                reach = int(self.limits.travel / self.rad_per_unit)
                 forward, reverse = self._home + reach, self._home - reach
             card.set("FL", forward, tolerance=2)
             card.set("BL", reverse, tolerance=2)
 
-    # ---- Position and time
-
-    def _find_clock(self) -> None:
-        """Search briefly for the tick of the card's clock. Without it, a position has the host's time."""
-        self._sample_s = 1e-6 * self.card.read("sample period")[0]
-        answers = list[tuple[float, float, float]]()
-
-        def only_tick() -> float | None:
-            asked_s = self.clock.now()
-            _, n = self.card.read("position and time")
-            answers.append((n, asked_s, self.clock.now()))
-            ticks = matching_ticks(answers, self._sample_s)
-            return ticks[0] if len(ticks) == 1 else None
-
-        if tick_s := self.clock.host.until(only_tick, FINDING_S):
-            n, asked_s, answered_s = min(answers, key=lambda answer: answer[2] - answer[1])
-            self._tick = tick_s, 0.5 * (asked_s + answered_s) - tick_s * n
-            if any(math.isclose(tick_s, tick * OLD_SECOND, rel_tol=1e-9) for tick in (1e-3, self._sample_s)):
-                self._sample_s *= OLD_SECOND
-
-    def _read(self) -> tuple[float, float, float]:
-        """Return the position in counts, its time and the largest error of that time, s."""
-        asked_s = self.clock.now()
-        counts, n = self.card.read("position and time")
-        answered_s = self.clock.now()
-        self._check_reach(counts, asked_s, answered_s)
-        if self._tick is None:
-            return counts, 0.5 * (asked_s + answered_s), 0.5 * (answered_s - asked_s)
-        tick_s, zero_s = self._tick
-        return counts, zero_s + tick_s * (n + 0.5), 0.5 * tick_s
-
-    # ---- Motion
+    def _ask_position(self) -> float:
+        return self.card.read("position")[0]
 
     def _set_ramps(self, counts: int) -> None:
         self._acceleration = self.card.set("AC", counts, tolerance=1024)
@@ -383,4 +323,4 @@ def open_from(url: str, settings: RigSettings) -> GalilRig:
     """Open a Galil rig."""
     if settings.axis not in ("", *"ABCDEFGHXYZW"):
         raise InputError(f"galil: axis must be A to H, X, Y, Z or W, got '{settings.axis}'. Set another axis.")
-    return GalilRig(GalilCard(url, link_settings(settings), settings.axis or "X"), settings)
+    return GalilRig(GalilCard(url, settings.axis or "X", **settings.link()), settings)

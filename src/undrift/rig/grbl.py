@@ -11,12 +11,11 @@ no encoder, so the commanded rate is reported as the achieved rate.
 import contextlib
 import math
 import re
-from dataclasses import replace
 
 from undrift.errors import InputError, LimitError, LinkError, RigError, RigFault, RigTimeout
 from undrift.live.transports import number_of
-from undrift.rig.link import Link, LinkedRig, LinkSettings, ReplyEnd, ask_until, end_of, link_settings
-from undrift.rig.rig import Position, RigSettings, check_free, in_words, steady_angle
+from undrift.rig.link import Link, LinkedRig, ask_until
+from undrift.rig.rig import RigSettings, check_free, in_words, steady_angle
 from undrift.units import RADIAN_PER_DEGREE
 
 # ---- Commands: lines, and single characters that act immediately.
@@ -30,16 +29,14 @@ STATUS = re.compile(
 )
 KNOWN = re.compile(r"|ok|\[.*\]|<.*>|\$\d{1,3}=.*|Grbl .*|ALARM:\d{1,2}|error:\d{1,3}")
 
-reply_end = end_of(rb"(?:^|\n)(?:ok|error:\d{1,3})[ \t]*\r?\n")
-status_end = end_of(rb"<[^<>\r\n]*>\r?\n")
-welcome_end = end_of(rb"Grbl[^\r\n]*\r?\n")
+status_end = re.compile(rb"<[^<>\r\n]*>\r?\n")
+welcome_end = re.compile(rb"Grbl[^\r\n]*\r?\n")
 
 
 class GrblBoard(Link):
     """Commands of a GRBL board."""
 
-    def __init__(self, url: str, settings: LinkSettings = LinkSettings()) -> None:
-        super().__init__(url, replace(settings, reply_end=reply_end))
+    reply_end = re.compile(rb"(?:^|\n)(?:ok|error:\d{1,3})[ \t]*\r?\n")
 
     def do(self, line: str) -> list[str]:
         """Send a line and return the lines before ``ok``."""
@@ -73,11 +70,13 @@ class GrblBoard(Link):
 
     def reset(self) -> str:
         """Reset (0x18) and return the greeting. Motion ends immediately, the queue is cleared and the link is in step."""
-        wait_s = max(self.settings.reply_timeout_s, 3.0)
+        wait_s = max(self.reply_timeout_s, 3.0)
         answer = self.exchange(RESET.decode("latin-1"), wait_s, until=welcome_end, terminator="", anew=True)
         return answer.strip().splitlines()[-1]
 
-    def _lines(self, question: str, *, until: ReplyEnd | None = None, terminator: str | None = None) -> list[str]:
+    def _lines(
+        self, question: str, *, until: re.Pattern[bytes] | None = None, terminator: str | None = None
+    ) -> list[str]:
         """Return the lines of an answer. Raise LinkError for a line that GRBL never sends."""
         answer = self.exchange(question, until=until, terminator=terminator)
         lines = [line.strip() for line in answer.splitlines() if line.strip()]
@@ -100,6 +99,7 @@ class GrblRig(LinkedRig):
     stopped = "The table was stopped and its motor put to sleep."
     unconfirmed = "It is NOT CONFIRMED that the table stopped. Cut the motor's power."
     unit, slack = "deg", 1.0  # the clocks of driver and board differ
+    rad_per_unit = RADIAN_PER_DEGREE
 
     def __init__(self, board: GrblBoard, settings: RigSettings = RigSettings()) -> None:
         self.board, self._axis = board, settings.axis or "A"
@@ -120,7 +120,7 @@ class GrblRig(LinkedRig):
                 if self.board.state() == "Sleep":
                     self._wake_up()
                 self._wait_for(("Idle",))
-                self._read_place()
+                self._read_position()
             self._enabled = on
 
     def set_acceleration(self, acceleration: float) -> float:
@@ -153,7 +153,7 @@ class GrblRig(LinkedRig):
             )
         steps = round(steady_angle(rate_dps, seconds, self._acceleration_dps2) * self._steps_per_deg)
         distance_deg = steps / self._steps_per_deg
-        self.limits.check_travel((self._last - self._home_deg + distance_deg) * RADIAN_PER_DEGREE)
+        self._check_travel(distance_deg)
         with self._guarded():
             state = self.board.state()
             if state != "Idle":
@@ -168,14 +168,6 @@ class GrblRig(LinkedRig):
         """Slow down (jog cancel) and wait until the axis is at rest. The motor stays on."""
         with self._guarded():
             self._stop()
-
-    def position(self) -> Position:
-        """Return the commanded angle since the rig was opened, rad."""
-        with self._guarded():
-            before_s = self.clock.now()
-            angle = (self._read_place() - self._home_deg) * RADIAN_PER_DEGREE
-            after_s = self.clock.now()
-        return Position(angle=angle, time=0.5 * (before_s + after_s), within_s=0.5 * (after_s - before_s))
 
     def fault(self) -> str | None:
         """Return a description of the fault, or None."""
@@ -192,7 +184,7 @@ class GrblRig(LinkedRig):
         self._steps_per_deg = self._stored(STEPS)[1]
         self._fastest = self._stored(RATE)[1] / 60.0
         self._acceleration_dps2 = self._stored(ACCELERATION)[1]
-        self._home_deg = self._read_place()
+        self._home = self._read_position()
 
     def _wake_up(self) -> str:
         """Reset and return the greeting. If the reset interrupts motion or sleep, clear the alarm that follows."""
@@ -219,16 +211,14 @@ class GrblRig(LinkedRig):
             )
         return number, value
 
-    def _read_place(self) -> float:
+    def _ask_position(self) -> float:
         """Return the machine position of the axis, deg."""
-        asked_s = self.clock.now()
         _, places = self.board.status()
         index = AXES.index(self._axis) if len(places) > 1 else 0
         if index >= len(places):
             raise LinkError(
                 f"{self.board.name}: no position of axis {self._axis} among the {len(places)} positions. Set another axis."
             )
-        self._check_reach(places[index], asked_s, self.clock.now())
         return places[index]
 
     def _wait_for(self, states: tuple[str, ...], expected_s: float = 0.0) -> None:
@@ -257,7 +247,7 @@ class GrblRig(LinkedRig):
         if self.board.state() in ("Jog", "Run", "Hold"):
             self.board.send(JOG_CANCEL)
             self._wait_for(("Idle",), self._fastest / self._acceleration_dps2)
-        self._read_place()
+        self._read_position()
 
     def _make_safe(self) -> bool:
         """Stop, reset and put the motor to sleep, and reconnect first if the link is lost."""
@@ -282,4 +272,4 @@ def open_from(url: str, settings: RigSettings) -> GrblRig:
     """Open a GRBL rig."""
     if settings.axis not in ("", *AXES):
         raise InputError(f"grbl: axis must be X, Y, Z, A, B or C, got '{settings.axis}'. Set another axis.")
-    return GrblRig(GrblBoard(url, link_settings(settings, 115_200)), settings)
+    return GrblRig(GrblBoard(url, **settings.link(115_200)), settings)

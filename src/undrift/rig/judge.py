@@ -1,6 +1,6 @@
 """Accept or reject a dwell: steady turn, complete readings, device at rest if it should be, steady temperature of air and board.
 
-Let w be the turn rate, T the dwell and d the time uncertainty of a position (the link's delay, or a tick). With a =
+Let w be the turn rate, T the dwell and d the time uncertainty of a position (the link's delay). With a =
 ANGLE_TOLERANCE, a dwell is accepted if
 
     |slope - w|           <= TURN_RATE_TOLERANCE |w| + (a + 2 |w| d) / T

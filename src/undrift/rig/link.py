@@ -14,51 +14,20 @@ import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
 from typing import TypeVar
 
 from undrift.base.clock import HOST, Clock, Port
-from undrift.errors import InputError, LinkError, RigError, RigTimeout, check_positive
-from undrift.live.transports import POLL_S, SerialPort, host_and_port, reason_of, tcp_port
-from undrift.rig.rig import RigSettings
+from undrift.errors import InputError, LinkError, RigError, RigTimeout
+from undrift.live.transports import CONNECT_S, POLL_S, SerialPort, host_and_port, reason_of, tcp_port
+from undrift.rig.rig import Position, RigSettings
 
 T = TypeVar("T")
-ReplyEnd = Callable[[bytes], int]  # length of the first whole reply in the received bytes, or 0
 LONGEST_REPLY = 65536  # longest reply that is accepted, bytes
 
 log = logging.getLogger(__name__)
 
 
-def end_of(pattern: bytes) -> ReplyEnd:
-    """Return a function that finds the end of a reply from a pattern."""
-    text = re.compile(pattern)
-
-    def end(received: bytes) -> int:
-        match = text.search(received)
-        return match.end() if match else 0
-
-    return end
-
-
-line_end = end_of(rb"\n")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LinkSettings:
-    """Line format, timeouts and port settings of a link."""
-
-    terminator: str = "\n"  # end of every question
-    reply_end: ReplyEnd = line_end
-    reply_timeout_s: float = 2.0  # longest wait for a reply, s, unless an exchange overrides it
-    connect_timeout_s: float = 5.0  # longest wait for a connection, s
-    baud: int = 19200  # bits per second of a serial port
-    clock: Clock = HOST  # clock of the timeouts
-
-    def __post_init__(self) -> None:
-        check_positive(self, "link", "Set a positive value", "reply_timeout_s", "connect_timeout_s", "baud")
-
-
-def open_port(url: str, settings: LinkSettings) -> Port:
+def open_port(url: str, baud: int, clock: Clock) -> Port:
     """Open the port of a URL."""
     host, port = host_and_port(url.removeprefix("tcp:")) if url.startswith("tcp://") else ("", 0)
     is_known = url.startswith(("serial://", "socket://", "loop://", "/", "COM")) and url != "serial://"
@@ -69,8 +38,8 @@ def open_port(url: str, settings: LinkSettings) -> Port:
         )
     try:
         if host:
-            return tcp_port(host, port, settings.connect_timeout_s, settings.clock)
-        return SerialPort(url.removeprefix("serial://"), settings.baud)
+            return tcp_port(host, port, CONNECT_S, clock)
+        return SerialPort(url.removeprefix("serial://"), baud)
     except (OSError, ValueError) as error:  # pyserial's SerialException is an OSError
         raise LinkError(f"{url}: cannot connect ({reason_of(error)}). Check power, cable and address.") from error
 
@@ -78,11 +47,15 @@ def open_port(url: str, settings: LinkSettings) -> Port:
 class Link(AbstractContextManager["Link"]):
     """A connection that is open from its construction until `close`."""
 
-    def __init__(self, url: str, settings: LinkSettings = LinkSettings()) -> None:
-        self.name, self.settings = url, settings
+    terminator = "\n"  # end of every question
+    reply_end = re.compile(rb"\n")  # end of the first whole reply in the received bytes
+
+    def __init__(self, url: str, *, reply_timeout_s: float = 2.0, baud: int = 19200, clock: Clock = HOST) -> None:
+        self.name, self.reply_timeout_s, self.clock = url, reply_timeout_s, clock
+        self._baud = baud
         self._lost: str | None = None  # reason why the connection is lost
         self._received, self._in_step = bytearray(), True
-        self._port = open_port(url, settings)
+        self._port = open_port(url, baud, clock)
 
     def __exit__(self, *failure: object) -> None:
         self.close()
@@ -98,7 +71,7 @@ class Link(AbstractContextManager["Link"]):
         text: str,
         wait_s: float | None = None,
         *,
-        until: ReplyEnd | None = None,
+        until: re.Pattern[bytes] | None = None,
         terminator: str | None = None,
         anew: bool = False,
     ) -> str:
@@ -107,15 +80,12 @@ class Link(AbstractContextManager["Link"]):
             raise LinkError(
                 f"{self.name}: cannot send '{text}', the link is out of step with its device. Resynchronise it first."
             )
-        settings = self.settings
         self._in_step = False  # stays False if an exception (also Ctrl-C) prevents reading the answer
         while self._listen(0.0) and len(self._received) < LONGEST_REPLY:
             pass
         self._received.clear()
-        self.send((text + (settings.terminator if terminator is None else terminator)).encode("latin-1"))
-        reply = self._wait_for(
-            text, until or settings.reply_end, settings.reply_timeout_s if wait_s is None else wait_s
-        )
+        self.send((text + (self.terminator if terminator is None else terminator)).encode("latin-1"))
+        reply = self._wait_for(text, until or self.reply_end, self.reply_timeout_s if wait_s is None else wait_s)
         self._in_step = True
         try:
             return reply.decode("ascii", errors="backslashreplace" if anew else "strict")
@@ -137,7 +107,7 @@ class Link(AbstractContextManager["Link"]):
     def reconnect(self) -> None:
         """Close the link and open it again, with empty buffers."""
         self.close()
-        self._port = open_port(self.name, self.settings)
+        self._port = open_port(self.name, self._baud, self.clock)
         self._lost, self._in_step = None, True
         self._received.clear()
 
@@ -162,12 +132,11 @@ class Link(AbstractContextManager["Link"]):
         self._received.extend(data)
         return bool(data)
 
-    def _wait_for(self, text: str, reply_end: ReplyEnd, wait_s: float) -> bytes:
+    def _wait_for(self, text: str, reply_end: re.Pattern[bytes], wait_s: float) -> bytes:
         """Wait for the whole reply to a question and remove it from the buffer."""
-        clock = self.settings.clock
-        last = clock.now() + wait_s
-        while not (length := reply_end(bytes(self._received))):
-            beginning, left_s = bytes(self._received[:80]), last - clock.now()
+        last = self.clock.now() + wait_s
+        while not (match := reply_end.search(self._received)):
+            beginning, left_s = bytes(self._received[:80]), last - self.clock.now()
             if len(self._received) > LONGEST_REPLY:
                 raise LinkError(
                     f"{self.name}: the answer to '{text}' does not end, it starts with {beginning!r}. Check the baud rate."
@@ -181,8 +150,8 @@ class Link(AbstractContextManager["Link"]):
                     deadline_s=wait_s,
                 )
             self._listen(min(left_s, POLL_S))
-        reply = bytes(self._received[:length])
-        del self._received[:length]
+        reply = bytes(self._received[: match.end()])
+        self._received = self._received[match.end() :]
         return reply
 
 
@@ -198,13 +167,15 @@ class LinkedRig(ABC):
     """Base class of rigs with a link. A subclass has the commands of its controller, and makes the table safe after an error."""
 
     stopped = unconfirmed = ""  # state of the table after a failure, for messages
-    unit, slack = "", 0.0  # unit of a controller's positions, and their tolerance
+    unit, slack = "", 0.0  # unit of the controller's positions, and their tolerance
+    rad_per_unit = 1.0  # angle of one unit of position, rad
 
     def __init__(self, link: Link, settings: RigSettings) -> None:
         self.limits, self.clock, self._link = settings.limits, settings.timing, link
         self._enabled = False
         self._refused = ""  # reason to refuse all commands
         self._fastest = math.inf  # largest rate, units/s
+        self._home = 0.0  # position when the rig was opened, units
         self._last = math.nan  # last position, units (NaN until the first one)
         self._asked_s = 0.0  # time of its question, s
         try:
@@ -220,6 +191,18 @@ class LinkedRig(ABC):
     @abstractmethod
     def _make_safe(self) -> bool:
         """Stop and switch the motor off, and reconnect first if the link is lost. Return True if the controller confirms it."""
+
+    @abstractmethod
+    def _ask_position(self) -> float:
+        """Return the position that the controller reports, units."""
+
+    def position(self) -> Position:
+        """Return the angle since the rig was opened, rad, timed half-way between question and answer."""
+        with self._guarded():
+            asked_s = self.clock.now()
+            angle = (self._read_position() - self._home) * self.rad_per_unit
+            answered_s = self.clock.now()
+        return Position(angle=angle, time=0.5 * (asked_s + answered_s), within_s=0.5 * (answered_s - asked_s))
 
     def close(self) -> None:
         """Stop, switch the motor off and close the link. A second call has no effect."""
@@ -246,19 +229,20 @@ class LinkedRig(ABC):
             outcome = self.stopped if self._make_safe() else self.unconfirmed
             raise type(error)(f"{error} {outcome}", **error.numbers) from error
 
-    def _check_reach(self, place: float, asked_s: float, answered_s: float) -> None:
-        """Raise LinkError for a position that the axis cannot have reached since the last one, and store the position."""
-        reach = 1.5 * self._fastest * (answered_s - self._asked_s) + self.slack
-        if abs(place - self._last) > reach:
+    def _check_travel(self, distance: float) -> None:
+        """Raise LimitError if a move by a distance, units, leads beyond the travel."""
+        self.limits.check_travel((self._last - self._home + distance) * self.rad_per_unit)
+
+    def _read_position(self) -> float:
+        """Return the position, units. Raise LinkError for one that the axis cannot have reached since the last one."""
+        before_s, self._asked_s = self._asked_s, self.clock.now()
+        position = self._ask_position()
+        reach = 1.5 * self._fastest * (self.clock.now() - before_s) + self.slack
+        if abs(position - self._last) > reach:
             raise LinkError(
-                f"{self._link.name}: expected a position within {reach:.1f} {self.unit} of {self._last:g}, got {place:g}. "
+                f"{self._link.name}: expected a position within {reach:.1f} {self.unit} of {self._last:g}, got {position:g}. "
                 "The controller was restarted, the answer is corrupted, or clock_speed is wrong.",
-                place=place,
+                position=position,
             )
-        self._last, self._asked_s = place, asked_s
-
-
-def link_settings(settings: RigSettings, baud: int = 19200) -> LinkSettings:
-    """Return the link settings of a rig. The baud rate applies if the rig settings do not set one."""
-    clock = settings.timing.host
-    return LinkSettings(reply_timeout_s=settings.reply_timeout_s, baud=settings.baud or baud, clock=clock)
+        self._last = position
+        return position

@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.resources import files
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
@@ -105,9 +105,8 @@ class Position:
     """Angle of the axis at a time."""
 
     angle: float  # rad
-    time: float  # host's monotonic clock, s (use differences only, since a controller's clock may contribute)
-    # largest error of the time, s: half of the round trip, or half a tick of the controller's clock
-    within_s: float = 0.0
+    time: float  # clock of the table, s (only differences are meaningful)
+    within_s: float = 0.0  # largest error of the time, s: half of the round trip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -177,7 +176,7 @@ class Achieved:
 def achieved_turn_rate(positions: Sequence[Position]) -> Achieved:
     """Return the mean rate over a dwell: the slope of a weighted least-squares line through (t_i, phi_i), weights 1 / d^2.
 
-    The time of a position is uncertain by d, the round trip of the link or a tick of the controller's clock. Half the median d is
+    The time of a position is uncertain by d, the round trip of the link. Half the median d is
     added in quadrature, so that a few quick answers do not dominate the fit. With S = sum w (t - tm)^2 and r = sum w residual^2,
     the standard uncertainty is sqrt(r / ((n - 2) S)). It includes counts and delays, and every other error increases it. Two other
     numbers therefore test if the table turned steadily. The first is the misfit, max |residual_i| - |slope| (d_i + median d). The
@@ -317,6 +316,10 @@ class RigSettings:
     def timing(self) -> Clock:
         """Clock of the table."""
         return self.clock or Clock(self.clock_speed)
+
+    def link(self, baud: int = 19200) -> dict[str, Any]:
+        """Return the settings of the link to the controller. The baud rate applies if none is set."""
+        return {"reply_timeout_s": self.reply_timeout_s, "baud": self.baud or baud, "clock": self.timing.host}
 
 
 OPTIONS: dict[str, Callable[[str], object]] = {

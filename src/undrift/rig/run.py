@@ -116,19 +116,11 @@ def run_programme(
     *devices: Mounted,
     report: Report,
     gravity_m_s2: float | None = None,
-    device_lag_s: float = 120.0,
 ) -> tuple[RunResult, ...]:
-    """Run all dwells that are not on the disk yet, and return a result for each device.
-
-    A soak waits for five time constants `device_lag_s` of a device without thermometer behind the air, s.
-    """
-    run = _Run(programme, bench, devices, report, device_lag_s)
+    """Run all dwells that are not on the disk yet, and return a result for each device."""
+    run = _Run(programme, bench, devices, report)
     before = [len(device.folder.done) for device in devices]
     try:
-        if not device_lag_s >= 0.0:
-            raise InputError(
-                f"run: device lag must be 0 s or more, got {device_lag_s}. Set the time constant of the device."
-            )
         done = frozenset.intersection(*(device.folder.done for device in devices))
         check_programme(programme, bench.rig.limits, done, by_hand=isinstance(bench.rig, ManualRig))
         temps_c = {step.temp_c for step in programme.steps if isinstance(step, Soak)}
@@ -176,11 +168,9 @@ def _check_whole(programme: Programme, device: Mounted) -> None:
 class _Run:
     """A run in progress."""
 
-    def __init__(
-        self, programme: Programme, bench: RigBench, devices: tuple[Mounted, ...], report: Report, device_lag_s: float
-    ) -> None:
+    def __init__(self, programme: Programme, bench: RigBench, devices: tuple[Mounted, ...], report: Report) -> None:
         self._programme, self._rig, self._clock, self._chamber = programme, bench.rig, bench.clock, bench.chamber
-        self._mounting, self._devices, self._report, self._lag_s = bench.mounting, devices, report, device_lag_s
+        self._mounting, self._devices, self._report = bench.mounting, devices, report
         self._enabled = self._air_steady = False
         self._due = devices  # devices that read the current step
         self._old_fault: str | None = None
@@ -240,9 +230,7 @@ class _Run:
         self._say("setting" if chamber.near_c is not None else "soaking")  # setting by hand takes time
         chamber.set(step.temp_c)
         last = self._clock.now() + SOAK_TIMEOUT_S
-        boards = self._sound(
-            self._due, lambda device: BoardWatch(device.readings, self._clock, step, chamber, self._lag_s)
-        )
+        boards = self._sound(self._due, lambda device: BoardWatch(device.readings, self._clock, step, chamber))
         while True:
             self._air_steady = chamber.soaked()
             steady = self._sound(boards, lambda device: boards[device].followed(self._air_steady))

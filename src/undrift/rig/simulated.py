@@ -22,7 +22,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
 from undrift.base.clock import Clock, PacedClock
-from undrift.errors import InputError, LinkError, RigFault, RigTimeout, check_positive
+from undrift.errors import InputError, RigFault, RigTimeout
 from undrift.live.hands import description_of
 from undrift.record import FACES, Face, Record
 from undrift.rig.chamber import Chamber, ChamberSetup
@@ -58,10 +58,6 @@ class AirSettings:
     period_s: float = 120.0  # 2 pi / w, s
     damping: float = 0.6  # damping ratio z (below 1 the air overshoots)
     board_lag_s: float = 60.0  # time constant of the device's board, s
-
-    def __post_init__(self) -> None:
-        names = ("ramp_c_per_min", "period_s", "damping", "board_lag_s")
-        check_positive(self, "simulated chamber", "Set a positive value", *names)
 
 
 class Air:
@@ -125,21 +121,12 @@ class SimulatedSettings:
 
 
 class SimulatedBench:
-    """A bench that also mounts its devices. ``table`` is a Rig, ``chamber`` a Chamber, and ``readings`` are of its devices.
-
-    ``faults`` contains the active faults:
-
-    - ``stall``: The amplifier fails. The controller switches the motor off, and the table coasts to rest.
-    - ``lost_readings``: Two of every three readings of the device are lost.
-    - ``wrong_face``: The operator mounts the opposite face, once.
-    - ``power_cut``: Nothing answers, and the table coasts to rest.
-    """
+    """A bench that also mounts its devices. ``table`` is a Rig, ``chamber`` a Chamber, and ``readings`` are of its devices."""
 
     def __init__(
         self, devices: Sequence[DeviceModel] = (), settings: SimulatedSettings = SimulatedSettings(), clock: Clock | None = None
     ) -> None:  # fmt: skip
         self.settings, self.clock = settings, clock or PacedClock()
-        self.faults = set[str]()
         chosen = devices or [random_device(np.random.default_rng(settings.seed), grade="consumer")]
         self._zero = self.clock.now()
         self.servo, self.air = Servo(settings.servo), Air(settings.air)
@@ -162,7 +149,6 @@ class SimulatedBench:
     def advance(self) -> float:
         """Advance the bench to the current time, and return that time, s."""
         now = self.now()
-        self.servo.powered &= not {"power_cut", "stall"} & self.faults
         times, angles = self.servo.advance(now)
         first = max(int(np.searchsorted(self._log[0], now - 1.0)) - 1, 0)  # a reading requires the previous step
         before = self._log
@@ -190,9 +176,6 @@ class SimulatedBench:
             )
         self.advance()
         self.face = up
-        if "wrong_face" in self.faults:
-            self.faults.discard("wrong_face")
-            self.face = FACES[FACES.index(up) ^ 1]
         unit, tilt = unit_vector(self.face), self._hands.normal(0.0, 1.0, 3) * self.settings.mount_tilt_sd
         tilted = unit + np.cross(tilt, unit)
         self._up = tilted / np.linalg.norm(tilted)
@@ -216,72 +199,54 @@ class SimulatedTable:
         self.limits, self._bench, self._servo = limits, bench, bench.servo
         self._count = 1.0 / bench.servo.settings.counts_per_rad  # rad
         self._acceleration = 256_000.0  # counts/s2
-        self._fault: str | None = None
 
     def identify(self) -> str:
-        self._answer()
         return f"simulated table, encoder of {self._servo.settings.encoder_lines} lines"
 
     def read_servo(self) -> ServoReport:
-        self._answer()
         (kp, kd), period_s = self._servo.settings.gains, self._servo.settings.period_s
         return ServoReport(kp=kp, ki=0.0, kd=kd, sample_s=period_s)
 
     def enable(self, on: bool) -> None:
-        self._answer()
+        self._bench.advance()
         self._servo.switch(on)
 
     def set_acceleration(self, acceleration: float) -> float:
         self.limits.check_acceleration(acceleration)
-        self._answer()
         self._acceleration = ACCELERATION.round(acceleration / self._count)
         return self._acceleration * self._count
 
     def turn_for(self, turn_rate: float, seconds: float) -> float:
         self.limits.check_turn_rate(turn_rate)
-        self._answer(moving=True)
+        if not self._servo.powered:
+            raise RigFault("rig: cannot turn, got its motor off. Switch the motor on.")
         speed = SLEW.round(turn_rate / self._count)
         angle = steady_angle(speed, seconds, self._acceleration) * self._count
         self.limits.check_travel(self._bench.angle() + angle)
-        self._fault = None
         self._servo.turn(speed, seconds, self._acceleration)
         return speed * self._count
 
     def stop(self) -> None:
-        self._answer()
+        self._bench.advance()
         if self._servo.powered:
             self._bench.clock.wait(self._servo.slow_down(self._acceleration) + SETTLED_S)
-        self._answer()
+        self._bench.advance()
 
     def position(self) -> Position:
-        self._answer()
         counts = math.floor(self._bench.angle() * self._servo.settings.counts_per_rad)
         within_s = 0.5 * self._servo.settings.period_s
         return Position(angle=counts * self._count, time=self._bench.clock.now(), within_s=within_s)
 
     def following_error(self) -> float:
-        self._answer()
+        self._bench.advance()
         return self._servo.error * self._count
 
     def fault(self) -> str | None:
-        self._answer()
-        return self._fault
+        return None
 
     def close(self) -> None:
-        if "power_cut" not in self._bench.faults:
-            self.stop()
-            self._servo.switch(False)
-
-    def _answer(self, *, moving: bool = False) -> None:
-        """Advance the bench. Raise an error without power or, if the table must move, with the motor off."""
-        powered = self._servo.powered
-        self._bench.advance()
-        if "power_cut" in self._bench.faults:
-            raise LinkError("rig: no answer. Check power and cable.")
-        if powered and not self._servo.powered:
-            self._fault = "its motor off: following error beyond its limit"
-        if moving and not self._servo.powered:
-            raise RigFault(f"rig: cannot turn, got {self._fault or 'its motor off'}. Switch the motor on.")
+        self.stop()
+        self._servo.switch(False)
 
 
 class SimulatedChamber(Chamber):
@@ -320,10 +285,6 @@ class SimulatedReadings:
         counts, rows = self._device.read(now)
         if not counts.size:
             return
-        if "lost_readings" in self._bench.faults:
-            rows[counts % 3 > 0] = np.nan
-        if "power_cut" in self._bench.faults:
-            rows[:] = np.nan
         self._newest = rows[-1]
         if self._kept is not None and not self._ended:
             self._kept.append((counts, rows))

@@ -20,7 +20,7 @@ from undrift.arrays import FloatArray
 from undrift.errors import InputError, LinkError, UndriftError
 from undrift.io.text import Appender
 from undrift.live.log import described_address
-from undrift.live.recorder import Recorder, RecorderSettings
+from undrift.live.recorder import Recorder
 from undrift.live.transports import lsl_streams, serial_ports, source_at
 from undrift.record import Record, joined
 
@@ -163,8 +163,7 @@ class LiveDevice:
             return path if path.exists() else None
 
     def _fresh(self) -> Recorder:
-        settings = RecorderSettings(silence_s=self._silence_s, keep_s=KEEP_S)
-        return Recorder(source_at(self.address), settings)
+        return Recorder(source_at(self.address), silence_s=self._silence_s, keep_s=KEEP_S)
 
     def _tally(self) -> FloatArray:
         timeline = self.recorder.timeline
