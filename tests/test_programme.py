@@ -11,7 +11,6 @@ from undrift.errors import FileFormatError, InputError
 from undrift.programme import (
     Dwell,
     Mount,
-    Programme,
     ProgrammeSettings,
     Protocol,
     Soak,
@@ -80,11 +79,6 @@ def test_a_soak_is_forecast_by_how_fast_the_board_follows(lag_s, change_c):
     assert soak.duration_s == pytest.approx(followed_s(change_c, 2.0, lag_s, 0.1) + 460.0, abs=1.0)
 
 
-def test_a_board_without_a_lag_takes_as_long_as_the_air():
-    soak = programme_of(replace(SMALL, temperatures_c=(45.0,), board_lag_s=0.0)).steps[1]
-    assert soak.duration_s == pytest.approx(600.0 + 460.0)
-
-
 def test_every_temperature_is_soaked_at_in_each_mounting():
     heated = programme_of(replace(SMALL, temperatures_c=(20.0, 40.0)), ProgrammeSettings(room_c=25.0))
     soaks = [step for step in heated.steps if isinstance(step, Soak)]
@@ -111,22 +105,6 @@ def test_faces_at_few_temperatures_save_soaks(at, mountings, soaks, minutes):
     faces = [(dwell.up, dwell.temp_c) for dwell in programme.dwells if dwell.purpose == "face"]
     temps_c = {"every": NOTES_SOAKS.temperatures_c, "room": (None,)}[at]
     assert sorted(faces, key=str) == sorted(((up, c) for up in NOTES_SOAKS.faces for c in temps_c), key=str)
-
-
-def test_a_filter_that_rings_settles_later():
-    slow = replace(SMALL, cutoff_hz=2.0)
-    more = programme_of(replace(slow, damping=0.5)).duration_s - programme_of(slow).duration_s
-    per_dwell = math.log(1000.0) / (2.0 * math.pi * 2.0) * (2.0 - math.sqrt(2.0))
-    assert more == pytest.approx(len(programme_of(slow).dwells) * per_dwell)
-
-
-def test_no_bracket_is_asked_for_by_zero_seconds():
-    assert "bracket" not in kinds(programme_of(replace(SMALL, bracket_s=0.0)))
-
-
-def test_a_programme_without_a_dwell_is_refused():
-    with pytest.raises(InputError, match="one dwell"):
-        Programme(steps=(Mount(up="+x", duration_s=1.0),), acceleration=1.0)
 
 
 def test_programme_beyond_the_limits_is_refused():
@@ -169,22 +147,11 @@ def test_the_grid_counts_the_columns_as_the_note_does(
     assert np.abs(rate_grid(*limits, rule="paper")).min() == pytest.approx(limits[0] + limits[2])
 
 
-def test_the_note_lists_34_rates_an_axis_from_ten_to_ninety() -> None:
-    np.testing.assert_allclose(rate_grid(5.0, 90.0, 5.0, rule="paper")[17:], np.arange(10.0, 91.0, 5.0))
-
-
 def test_a_grid_that_cannot_be_is_refused() -> None:
     with pytest.raises(InputError, match=r"must divide 85, got 4.* 4\.04"):
         rate_grid(5.0, 90.0, 4.0)
     with pytest.raises(InputError, match=r"positive step .*got 5, 3, 1"):
         rate_grid(5.0, 3.0, 1.0)
-
-
-def test_a_protocol_gives_its_rates_in_radians() -> None:
-    rates = RATES_ONLY.turn_rates()
-    assert len(rates) == 34
-    assert rates[-1] == pytest.approx(np.pi / 2.0)
-    assert len(replace(RATES_ONLY, turn_rate_step=0.0).turn_rates()) == 0
 
 
 @pytest.mark.parametrize(
@@ -224,12 +191,6 @@ def test_a_protocol_reads_back_as_it_was(tmp_path: Path) -> None:
     for name in Protocol.__dataclass_fields__:
         value = getattr(wanted, name)
         assert getattr(read, name) == (pytest.approx(value, rel=1e-12) if isinstance(value, float) else value), name
-
-
-def test_tables_that_are_left_out_are_not_done(tmp_path: Path) -> None:
-    (tmp_path / "p.toml").write_text("[faces]\nseconds = 3.0\n")
-    read = read_protocol(tmp_path / "p.toml")
-    assert (len(read.faces), read.face_s, len(read.turn_rates()), read.temperatures_c) == (6, 3.0, 0, ())
 
 
 @pytest.mark.parametrize(

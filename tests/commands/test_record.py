@@ -14,7 +14,6 @@ import pytest
 from testkit.data import show
 from testkit.disk import preloaded
 from testkit.printing_board import PrintingBoard, sketch_line
-from testkit.talking_device import TalkingDevice
 from undrift.base.clock import Clock
 from undrift.commands.bench import source
 from undrift.commands.files import Place
@@ -39,14 +38,6 @@ def board() -> Iterator[PrintingBoard]:
 # ---- From a port to a file
 
 
-def test_another_baud_rate_is_asked_for_and_taken_from_the_address(undrift, tmp_path):
-    with PrintingBoard(baud=57_600) as board:
-        board.print_lines()
-        assert "?baud=9600" in undrift("record", board.port, "-o", tmp_path / "a.csv").err
-        made = recording(f"{board.port}?baud=57600", output=tmp_path / "a.csv", duration_s=1.0)
-    assert made.data["garbled"] == 0
-
-
 def test_ports_are_listed_and_the_only_one_is_taken(undrift, tmp_path, monkeypatch, board):
     ports = [("/dev/ttyACM0", "Arduino Uno"), ("/dev/ttyUSB1", "CP2102 USB to UART")]
     for module in (sys.modules["undrift.commands.record"], source):
@@ -67,13 +58,6 @@ def test_ports_are_listed_and_the_only_one_is_taken(undrift, tmp_path, monkeypat
     for way in ("serial_ports", "lsl_streams"):
         monkeypatch.setattr(source, way, list)
     assert "No device was found" in undrift.good("record").out
-
-
-def test_a_way_with_a_description_is_recorded_as_described(tmp_path):
-    with TalkingDevice() as device:
-        made = recording(device.address, output=tmp_path / "a.csv", duration_s=1.0)
-    assert made.data["address"] == device.address
-    assert read_record(tmp_path / "a.csv").device == "talker"
 
 
 @pytest.mark.parametrize(

@@ -120,11 +120,6 @@ def test_lines_of_a_reading_stay_together_wherever_the_port_cuts_them():
         np.testing.assert_array_equal(rows[:, 0], rows[:, 3])
 
 
-def test_a_way_without_bytes_and_a_description_stay_as_they_are():
-    for address in ("lsl:imu?rate=100", "udp://:5000?channels=accel_x,accel_y,accel_z&rate=50"):
-        assert described_address(address) == (address, ())
-
-
 def test_silence_and_other_bytes_are_refused(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("undrift.live.log.SILENCE_S", 0.3)
     with Sender([]) as silent, pytest.raises(RigTimeout, match=r"no text within 0\.3 s"):

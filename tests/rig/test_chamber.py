@@ -9,7 +9,7 @@ import pytest
 
 from testkit.rig_bench import SHORT, Device, at_rest, simulated
 from testkit.rig_bench import run as run_on
-from testkit.scripted_server import Scripted, VirtualScripted
+from testkit.scripted_server import Scripted
 from undrift.errors import InputError, LimitError, LinkError, RigError, RigFault, RigTimeout
 from undrift.io.session import read_session
 from undrift.rig.chamber import ChamberSetup, Steadiness, open_chamber
@@ -28,27 +28,6 @@ TRUE = {
 def scripted(**changed):
     answers = TRUE | changed.pop("answers", {})
     return Scripted(answers.get, terminator=b"\n")
-
-
-class ScpiAir:
-    """The simulated chamber of a bench behind the language, on the bench's clock; ``spoil`` changes its answers."""
-
-    def __init__(self, **air):
-        self.bench = simulated(air=AirSettings(**{"ramp_c_per_min": 10.0, "period_s": 30.0, **air}))
-        self.spoil = lambda answer: answer
-        self.server = VirtualScripted(self.answer, self.bench.clock, terminator=b"\n")
-
-    def answer(self, command):
-        chamber = self.bench.chamber
-        if asked := re.fullmatch(r"TEMP:SPO ([\d.]+);:OUTP ON;:TEMP:SPO\?", command):
-            return self.spoil(f"{chamber.set(float(asked[1])):.2f}\n".encode())
-        if command == "OUTP OFF;:OUTP?":
-            chamber.switch_off()
-        reading = f"{chamber.read():.2f}\n".encode()
-        return self.spoil(reading if command == "MEAS:TEMP?" else TRUE[command])
-
-    def opened(self):
-        return open_chamber(self.server.url, replace(SETTINGS, clock=self.bench.clock, reply_timeout_s=0.3))
 
 
 def patience(chamber, seconds):
@@ -93,34 +72,25 @@ def test_an_answer_that_does_not_fit_is_told(command, said, error, text):
 
 
 def test_a_soak_ends_when_the_air_is_steady_at_its_set_point():
-    scpi = ScpiAir()
-    with scpi.opened() as chamber:
-        chamber.set(45.0)
-        assert scpi.bench.clock.until(chamber.soaked, 1200.0, 2.0)
-        assert chamber.read() == pytest.approx(45.0, abs=0.1)
-        now = scpi.bench.now()
-        times = np.linspace(now - SETTINGS.window_s, now, 100)
-        air = scpi.bench.air.at(times)[0]
-        # the criterion sees readings rounded to 0.01 degC
-        assert 60.0 * np.abs(np.polyfit(times - times[0], air, 1)[0]) < 0.12
-        assert np.ptp(air) < 2.0 * SETTINGS.tolerance_c
+    bench = simulated(air=AirSettings(ramp_c_per_min=10.0, period_s=30.0), chamber=SETTINGS)
+    bench.chamber.set(45.0)
+    assert bench.clock.until(bench.chamber.soaked, 1200.0, 2.0)
+    times = np.linspace(bench.now() - SETTINGS.window_s, bench.now(), 100)
+    air = bench.air.at(times)[0]
+    # the criterion sees readings rounded to 0.01 degC
+    assert 60.0 * np.abs(np.polyfit(times - times[0], air, 1)[0]) < 0.12
+    assert air[-1] == pytest.approx(45.0, abs=0.1)
+    assert np.ptp(air) < 2.0 * SETTINGS.tolerance_c
 
 
-@pytest.mark.parametrize(
-    "spoil",
-    [lambda answer: None, lambda answer: answer[:-1], lambda answer: b"x" + answer],
-    ids=["silence", "cut", "garbage"],
-)
-def test_a_link_that_fails_is_an_error_and_the_heater_is_off_at_the_end(spoil):
-    scpi = ScpiAir()
-    with scpi.opened() as chamber:
-        scpi.spoil = spoil
-        began = scpi.bench.now()
-        with pytest.raises(RigError):
-            chamber.set(45.0)
-        assert scpi.bench.now() - began < 1.0
-        scpi.spoil = lambda answer: answer
-    assert not scpi.bench.air.on
+@pytest.mark.parametrize("bad", [None, b"\xff\xfe\n", b"45.0"])
+def test_a_link_that_fails_is_an_error_and_the_heater_is_off_at_the_end(bad):
+    with scripted(answers={"MEAS:TEMP?": bad}) as server:
+        with open_chamber(server.url, SETTINGS) as chamber:
+            patience(chamber, 0.3)
+            with pytest.raises(RigError):
+                chamber.read()
+        assert server.heard[-1] == "OUTP OFF;:OUTP?"
 
 
 def test_a_host_that_looks_less_than_six_times_in_a_window_still_sees_a_steady_temperature():

@@ -10,7 +10,7 @@ from testkit.scripted_server import VirtualScripted
 from testkit.virtual_clock import VirtualClock
 from undrift.errors import InputError, LimitError, LinkError, RigFault, RigTimeout
 from undrift.rig.grbl import GrblBoard, GrblRig, open_from
-from undrift.rig.rig import Limits, RigSettings, codes, in_words
+from undrift.rig.rig import Limits, RigSettings
 
 DEGREE = math.pi / 180.0
 SAFE = "The table was stopped and its motor put to sleep."
@@ -102,18 +102,6 @@ def test_an_alarm_that_is_not_ours_stays_for_a_person():
         with pytest.raises(RigFault, match="expected state Idle, got an alarm"):
             bench.rig.enable(True)
         assert "$X" not in bench.server.heard
-
-
-def test_the_codes_a_jog_meets_have_words_and_others_say_where_to_look():
-    assert {*codes("grbl_error")} >= {*map(str, (1, 2, 3, 4, 5, 6, 7, 8, 9, 15, 16))}
-    assert "not listed here; see" in in_words("grbl_error", 99)
-
-
-def test_an_open_door_is_a_fault(bench):
-    bench.board.state = "Door"
-    assert bench.rig.fault() == "the safety door is open"
-    with pytest.raises(RigFault, match="safety door is open"):
-        bench.rig.turn_for(1.0, 2.0)
 
 
 @pytest.mark.parametrize(

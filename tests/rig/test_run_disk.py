@@ -11,7 +11,7 @@ import pytest
 from testkit.data import show
 from testkit.disk import cuts, logged, preloaded
 from testkit.rig_bench import SHORT, run, simulated
-from undrift.errors import InputError
+from undrift.errors import InputError, UndriftError
 from undrift.io.session import read_session
 from undrift.rig.folder import RunFolder
 
@@ -140,3 +140,46 @@ def test_a_disk_that_is_full_at_any_write_ends_a_run_at_rest_and_it_resumes(step
     done = subprocess.run(words, env=preloaded(), capture_output=True, text=True, timeout=900.0, check=False)
     show("a run on a full disk", done.stdout)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    path = tmp_path_factory.mktemp("flips") / "run"
+    run(simulated(), path)
+    return path
+
+
+def read(path):
+    """Return the session of a finished run, and its dwells as a resume reads them, as text with all digits."""
+    session = read_session(path)
+    arrays = [getattr(record, name) for record in session.records for name in ("time", "gyro", "accel", "temp_c")]
+    with RunFolder(path, SHORT, resume=True) as folder:
+        parts = (session.stills, session.turns, session.serial, session.gravity_m_s2, folder.head, folder.pieces)
+        return repr(parts), [None if array is None else array.tobytes() for array in arrays]
+
+
+@pytest.mark.slow
+def test_a_flipped_bit_in_a_finished_run_is_refused_or_changes_nothing(finished):
+    sound, rng = read(finished), random.Random(16)
+    files = sorted(p for p in finished.rglob("*") if p.is_file() and p.suffix in (".parquet", ".toml"))
+    silent, refused = [], 0
+    for k in range(200):
+        path = files[k % len(files)]
+        whole = path.read_bytes()
+        place = rng.randrange(8 * len(whole))
+        changed = bytearray(whole)
+        changed[place // 8] ^= 1 << place % 8
+        path.write_bytes(changed)
+        try:
+            if read(finished) != sound:
+                silent.append((path.name, place))
+        except UndriftError:
+            refused += 1
+        finally:
+            path.write_bytes(whole)
+            for aside in finished.glob("aside/*"):
+                aside.unlink()
+    show(f"of {200} flips, silent and different", len(silent), 0)
+    show("refused", refused)
+    assert silent == []
+    assert refused > 200 // 2

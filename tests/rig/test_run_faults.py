@@ -37,8 +37,7 @@ PROTOCOL = Protocol(
 )
 RATES_DPS = (30.0, -30.0, 60.0, -60.0)  # as the programme turns
 READING_DPS = 0.1  # a dwell's mean reading: noise 0.02/sqrt(50), and a servo that creeps at 1 count in a dwell
-GAIN_BOUND = 2.0 * READING_DPS / (60.0 * 10.0**0.5)  # such readings at these four rates
-LIMIT_DPS = 0.05  # stored rate against the true one; a card's millisecond taken for another would be 0.7 to 1.4
+LIMIT_DPS = 0.05  # stored rate against the true one
 
 
 class Silent(Device):
@@ -132,50 +131,25 @@ def pieces(path):
     return read_journal(path / "session.toml")[1]
 
 
-@pytest.fixture(scope="module")
-def uninterrupted(tmp_path_factory):
-    path = tmp_path_factory.mktemp("uninterrupted") / "run"
-    faulty = Faulty("none")
-    faulty.run(path)
-    assert at_rest(faulty.bench)
-    return own_axis(path)
+def error_of_rates(path):
+    """Compare a whole run with the device's true matrix. Return the largest error of the stored rates, deg/s.
 
-
-def own_axis(path):
-    """Return stored rates, mean readings and the stored rates' own uncertainty of the dwells about z, deg/s."""
-    session, stated = read_session(path), [piece for piece in pieces(path) if piece.purpose == "rate"]
-    assert [turn.axis for turn in session.turns] == ["z"] * len(RATES_DPS)
-    stored = [turn.turn_rate / DPS for turn in session.turns]
-    means = [session.records[turn.recording].gyro[turn.start : turn.stop, 2].mean() for turn in session.turns]
-    return np.array(stored), np.array(means), np.array([piece.turn_rate_uncertainty for piece in stated]) / DPS
-
-
-def compare(found, uninterrupted):
-    """Compare dwell by dwell, with the device's true matrix and with the run that nothing broke, and their gains.
-
-    The device says how fast the table truly turned over its readings, to NOISE / sqrt(200) = 0.0014 deg/s; the stored rate is
-    within the limit of that, or where the link hid the card's clock within what the run itself states.
+    The device says how fast the table truly turned over its readings, to NOISE / sqrt(200) = 0.0014 deg/s. The stored rate agrees
+    with that within the limit or, if a fault delayed answers, within three of its stated standard uncertainties.
     """
-    stored, means, stated = found
-    rates = np.array(RATES_DPS)
-    np.testing.assert_allclose(means, GAIN[2, 2] * rates + OFFSET[2], rtol=0.0, atol=READING_DPS)
-    np.testing.assert_allclose(means, uninterrupted[1], rtol=0.0, atol=2.0 * READING_DPS)
-    gains = [np.polyfit(rates, each, 1)[0] for each in (means, uninterrupted[1])]
-    assert abs(gains[0] - gains[1]) < GAIN_BOUND
-    assert (np.abs(stored - true_rates(means)) <= np.maximum(LIMIT_DPS, 3.0 * stated)).all(), (
-        stored,
-        true_rates(means),
-    )
-
-
-def true_rates(means):
-    return (means - OFFSET[2]) / GAIN[2, 2]
+    session, dwells = read_session(path), [piece for piece in pieces(path) if piece.purpose == "rate"]
+    means = np.array([session.records[turn.recording].gyro[turn.start : turn.stop, 2].mean() for turn in session.turns])
+    np.testing.assert_allclose(means, GAIN[2, 2] * np.array(RATES_DPS) + OFFSET[2], rtol=0.0, atol=READING_DPS)
+    stated = np.array([piece.turn_rate_uncertainty for piece in dwells]) / DPS
+    errors = np.abs([turn.turn_rate / DPS for turn in session.turns] - (means - OFFSET[2]) / GAIN[2, 2])
+    assert (errors <= np.maximum(LIMIT_DPS, 3.0 * stated)).all(), errors
+    return errors.max()
 
 
 @pytest.mark.parametrize("phases", [PHASES, pytest.param(OTHER_PHASES, marks=pytest.mark.slow)], ids=["main", "other"])
 @pytest.mark.parametrize("fault", [*WIRE, *CARD, DEVICE])
-def test_a_fault_in_any_phase_ends_at_rest_and_a_resume_completes(fault, phases, tmp_path, uninterrupted):
-    cells = [cell(Faulty(fault), phase, tmp_path / phase, uninterrupted) for phase in phases]
+def test_a_fault_in_any_phase_ends_at_rest_and_a_resume_completes(fault, phases, tmp_path):
+    cells = [cell(Faulty(fault), phase, tmp_path / phase) for phase in phases]
     show(
         f"{fault}: dwells kept + dwells of the resume; ! where the run ended with an error", [said for said, _ in cells]
     )
@@ -187,13 +161,13 @@ def test_a_fault_in_any_phase_ends_at_rest_and_a_resume_completes(fault, phases,
 
 
 @pytest.mark.parametrize("fault", WIRE)
-def test_a_stepper_board_on_a_bad_line_ends_at_rest_and_a_resume_completes(fault, tmp_path, uninterrupted):
-    said, off = cell(Faulty(fault, TurningBoard), "dwelling", tmp_path / "run", uninterrupted)
+def test_a_stepper_board_on_a_bad_line_ends_at_rest_and_a_resume_completes(fault, tmp_path):
+    said, off = cell(Faulty(fault, TurningBoard), "dwelling", tmp_path / "run")
     assert said == "4+3!"
     assert off < LIMIT_DPS
 
 
-def cell(faulty, phase, path, uninterrupted):
+def cell(faulty, phase, path):
     """Break a run, look at what it left, resume it, compare; return what was kept and added in words, and how far rates are off."""
     error = broken(faulty, path, phase)
     kept = pieces(path)
@@ -209,10 +183,7 @@ def cell(faulty, phase, path, uninterrupted):
     assert [piece.step for piece in pieces(path)] == [2, 3, 4, 5, 6, 7, 8]
     for step, content in before.items():
         assert (path / f"pieces/{step:04d}.parquet").read_bytes() == content, "a dwell that was done has changed"
-    found = own_axis(path)
-    compare(found, uninterrupted)
-    off = np.abs(found[0] - true_rates(found[1])).max()
-    return f"{len(kept)}+{7 - len(kept)}{'' if error is None else '!'}", off
+    return f"{len(kept)}+{7 - len(kept)}{'' if error is None else '!'}", error_of_rates(path)
 
 
 WHOLE = replace(

@@ -252,10 +252,3 @@ def test_a_session_that_was_changed_is_refused(finished):
     with pytest.raises(InputError, match="contains a run"):
         RunFolder(finished, SHORT)
     assert len(os.listdir(finished / "pieces")) == 7
-
-
-def test_a_folder_without_dwells_is_an_empty_folder(tmp_path):
-    with RunFolder(tmp_path / "run", SHORT):
-        pass
-    result, _ = run(simulated(), tmp_path / "run")
-    assert result.added == 7
