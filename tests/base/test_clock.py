@@ -23,7 +23,6 @@ def test_a_fast_clock_runs_ahead_and_waits_less():
     clock.wait(1.0)
     clock.wait(-1.0)
     assert 1.0 <= clock.now() - start < 500.0
-    assert clock.host is HOST
     assert Clock().connection("127.0.0.1", 9) is None
 
 

@@ -9,6 +9,7 @@ import pytest
 import undrift
 from testkit.data import show
 from testkit.rig_bench import GAIN, OFFSET, UP
+from testkit.virtual_clock import VirtualClock
 from undrift.base.clock import Clock
 from undrift.errors import InputError
 from undrift.io.session import read_session
@@ -128,7 +129,7 @@ def by_hand(tmp_path):
     """Return a protocol of turns by hand, and what runs it."""
     (tmp_path / "protocol.toml").write_text(TURNS)
     protocol = read_protocol(tmp_path / "protocol.toml")
-    clock = Clock(speed=40.0)
+    clock = VirtualClock()
     operator = Operator(clock)
 
     def run(path, *, resume=False):

@@ -71,11 +71,6 @@ class Clock:
         """Return a clock that shows 0 now."""
         return cls(speed, zero_s=time.monotonic())
 
-    @property
-    def host(self) -> "Clock":
-        """Clock in seconds of the host, for time-outs of links and processes."""
-        return self if self.speed == 1.0 else HOST
-
     def now(self) -> float:
         """Return the time, s. Only differences are meaningful."""
         return self.speed * (time.monotonic() - self._zero_s)

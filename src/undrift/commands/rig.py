@@ -114,7 +114,7 @@ def run(
         if simulated is None:
             longest_s = max(dwell.duration_s for dwell in programme.dwells)
             devices = [_connect(stack, url, folder, longest_s) for url, folder in zip(device, folders, strict=True)]
-            settings = replace(settings, clock=options.clock, accept="on" if resume else "off")
+            settings = replace(settings, accept="on" if resume else "off")
             bench = _bench(stack, (rig, chamber), settings, programme)
         else:
             oven = None if chamber is None else simulated.chamber
@@ -212,7 +212,7 @@ def _simulated_bench(
         rng = np.random.default_rng(seed)
         models.append(device_at(name, rng, draw=name in PRESETS) if name else random_device(rng, grade="consumer"))
         settings = replace(settings, seed=seed, mount_tilt_sd=tilt_deg * DPS)
-    return SimulatedBench(models, settings, options.timing)
+    return SimulatedBench(models, settings, options.clock)
 
 
 def _connect(stack: ExitStack, address: str, folder: RunFolder, longest_s: float) -> Mounted:
@@ -230,7 +230,7 @@ def _bench(
 ) -> RigBench:
     """Connect chamber, operator and, last, the table."""
     rig, chamber = addresses
-    ask, clock = screen().ask, parse_address(rig, settings)[2].timing
+    ask, clock = screen().ask, settings.clock
     oven = None
     if chamber is not None:
         slopes = [step.slope_c_per_min for step in programme.steps if isinstance(step, Soak)]
@@ -316,7 +316,7 @@ def check(
         table = open_rig(rig, replace(settings, accept="on"))
         stack.callback(table.close)
         wave = {"turn_rate": turn_rate_dps * DPS, "duration_s": seconds}
-        result = check_rig(table, settings.timing, **wave, report=screen().over)
+        result = check_rig(table, settings.clock, **wave, report=screen().over)
     servo, largest_deg = result.servo, result.largest / DPS
     failed = finding(
         "rig_check.error",

@@ -158,7 +158,7 @@ class ScpiChamber(Chamber):
 
     def __init__(self, url: str, settings: ChamberSetup = ChamberSetup()) -> None:
         super().__init__(settings)
-        self._link = Link(url, reply_timeout_s=settings.reply_timeout_s, baud=BAUD, clock=settings.clock.host)
+        self._link = Link(url, reply_timeout_s=settings.reply_timeout_s, baud=BAUD, clock=settings.clock)
         try:
             self.identity = self._ask("*IDN?")
             if self.identity.count(",") != 3:

@@ -296,7 +296,7 @@ class GalilRig(LinkedRig):
             # The card may still receive commands. It rejects MO until AB has ended the motion.
             for command in (f"ST{card.axis}", "AB", f"MO{card.axis}", f"MO{card.axis}"):
                 card.shout(command)
-                self.clock.host.wait(0.05)
+                self.clock.wait(0.05)
             return False
 
     def _reconnect(self) -> None:
@@ -304,7 +304,7 @@ class GalilRig(LinkedRig):
         for _ in range(RECONNECTIONS - 1):
             with contextlib.suppress(LinkError):
                 return self.card.reconnect()
-            self.clock.host.wait(0.3)
+            self.clock.wait(0.3)
         return self.card.reconnect()
 
 

@@ -159,8 +159,8 @@ class Link(AbstractContextManager["Link"]):
 
 
 def ask_until(ask: Callable[[], T], clock: Clock, within_s: float) -> T | None:
-    """Ask a controller until the answer is true, and return that answer, or None on timeout (at least 1 s of host time)."""
-    return clock.host.until(ask, max(within_s / clock.speed, 1.0), min(0.02, 0.05 / clock.speed))
+    """Ask a controller until the answer is true, and return that answer, or None on timeout (after at least 1 s)."""
+    return clock.until(ask, max(within_s, 1.0))
 
 
 class LinkedRig(ABC):
@@ -171,7 +171,7 @@ class LinkedRig(ABC):
     rad_per_unit = 1.0  # angle of one unit of position, rad
 
     def __init__(self, link: Link, settings: RigSettings) -> None:
-        self.limits, self.clock, self._link = settings.limits, settings.timing, link
+        self.limits, self.clock, self._link = settings.limits, settings.clock, link
         self._enabled = False
         self._refused = ""  # reason to refuse all commands
         self._fastest = math.inf  # largest rate, units/s
@@ -241,7 +241,7 @@ class LinkedRig(ABC):
         if abs(position - self._last) > reach:
             raise LinkError(
                 f"{self._link.name}: expected a position within {reach:.1f} {self.unit} of {self._last:g}, got {position:g}. "
-                "The controller was restarted, the answer is corrupted, or clock_speed is wrong.",
+                "The controller was restarted, or the answer is corrupted.",
                 position=position,
             )
         self._last = position

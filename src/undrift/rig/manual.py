@@ -83,4 +83,4 @@ def open_from(url: str, settings: RigSettings) -> ManualRig:
         raise InputError(f"manual rig: the address must be 'manual:', got 'manual:{url}'. A person has no port.")
     if settings.ask is None:
         raise InputError("manual rig: no way to ask a person. Set RigSettings(ask=...).")
-    return ManualRig(settings.ask, settings.limits, settings.timing)
+    return ManualRig(settings.ask, settings.limits, settings.clock)

@@ -20,7 +20,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from undrift.base.clock import Clock, PacedClock
+from undrift.base.clock import HOST, Clock, PacedClock
 from undrift.errors import InputError, LimitError, RigFault, check_positive
 from undrift.plugins import load_named, split_address
 from undrift.programme import Dwell, Programme
@@ -299,27 +299,21 @@ class RigSettings:
     baud: int = 0  # bits per second of a serial port (0 selects the rig's default)
     reply_timeout_s: float = 2.0  # longest wait for an answer, s
     accept: Literal["off", "on", "moving"] = "moving"  # state of the motor in which a table may be opened
-    clock_speed: float = 1.0  # table seconds per host second (1 for hardware)
-    clock: Clock | None = None  # clock of the table (None selects the host's clock at clock_speed)
+    clock: Clock = HOST  # clock of the table
     # prints a line for a person and returns the typed answer (required for a manual rig)
     ask: Callable[[str], str] | None = None
 
     def __post_init__(self) -> None:
-        check_positive(self, "rig", "Correct the address", "encoder_lines", "reply_timeout_s", "clock_speed")
+        check_positive(self, "rig", "Correct the address", "encoder_lines", "reply_timeout_s")
 
     @property
     def count(self) -> float:
         """Angle of one count of the encoder, rad."""
         return 2.0 * math.pi / (COUNTS_PER_LINE * self.encoder_lines)
 
-    @property
-    def timing(self) -> Clock:
-        """Clock of the table."""
-        return self.clock or Clock(self.clock_speed)
-
     def link(self, baud: int = 19200) -> dict[str, Any]:
         """Return the settings of the link to the controller. The baud rate applies if none is set."""
-        return {"reply_timeout_s": self.reply_timeout_s, "baud": self.baud or baud, "clock": self.timing.host}
+        return {"reply_timeout_s": self.reply_timeout_s, "baud": self.baud or baud, "clock": self.clock}
 
 
 OPTIONS: dict[str, Callable[[str], object]] = {
@@ -327,8 +321,8 @@ OPTIONS: dict[str, Callable[[str], object]] = {
     "axis": str.upper,
     "baud": int,
     "reply_timeout_s": float,
-    "clock_speed": float,
 }
+SIMULATED_OPTIONS: dict[str, Callable[[str], object]] = {"encoder_lines": int, "clock_speed": float}
 
 
 def open_rig(address: str, settings: RigSettings = RigSettings()) -> Rig:
@@ -351,13 +345,18 @@ def check_free(name: str, state: str, settings: RigSettings) -> None:
 def parse_address(address: str, settings: RigSettings = RigSettings()) -> tuple[str, str, RigSettings]:
     """Return the kind, the URL and the settings that an address contains."""
     kind, url, options = split_address(address, "rig", CONTROLLERS, GROUP, "Name the kind of rig")
+    known = SIMULATED_OPTIONS if kind == "simulated" else OPTIONS
+    values = dict[str, Any]()
     for name, text in options:
-        if name not in OPTIONS:
-            raise InputError(f"rig: unknown option '{name}' in the address. Use one of {', '.join(OPTIONS)}.")
+        if name not in known:
+            raise InputError(f"rig: unknown option '{name}' in the address. Use one of {', '.join(known)}.")
         try:
-            settings = replace(settings, **{name: OPTIONS[name](text)})  # type: ignore[arg-type]
+            values[name] = known[name](text)
         except ValueError as error:
             raise InputError(f"rig: '{text}' is not a value for {name}. Correct the address.") from error
-    if kind == "simulated" and settings.clock is None:
-        settings = replace(settings, clock=PacedClock(settings.clock_speed))
-    return kind, url, settings
+    clock_speed = values.pop("clock_speed", 1.0)
+    if kind == "simulated" and settings.clock is HOST:
+        if not clock_speed > 0.0:
+            raise InputError(f"rig: clock_speed must be positive, got {clock_speed:g}. Correct the address.")
+        values["clock"] = PacedClock(clock_speed)
+    return kind, url, replace(settings, **values)

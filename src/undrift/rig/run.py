@@ -36,9 +36,9 @@ from undrift.rig.manual import ManualRig
 from undrift.rig.rig import TRAVEL_MARGIN, Position, Rig, achieved_turn_rate, check_programme
 
 POLLS = 20  # number of positions in a short dwell
-POLL_S = 0.1  # time between two positions in a long dwell, host s
+POLL_S = 0.1  # time between two positions in a long dwell, table s
 ATTEMPTS = 3  # number of attempts at a dwell
-SPARE_S = 2.0  # extra duration of a move beyond its dwell, host s (the run ends the move early)
+SPARE_S = 2.0  # extra duration of a move beyond its dwell, table s (the run ends the move early)
 SOAK_TIMEOUT_S = 6.0 * 3600.0  # longest soak, table s
 AIR_POLL_S = 2.0  # time between two readings of the chamber, table s
 
@@ -244,7 +244,7 @@ class _Run:
                     f"{SOAK_TIMEOUT_S:g} s, got {live}. Check chamber and device."
                 )
             self._say("soaking", live)
-            self._clock.wait(max(AIR_POLL_S, 0.05 * self._clock.speed))
+            self._clock.wait(AIR_POLL_S)
 
     def _check_air(self, step: Dwell) -> float | None:
         """Return the air temperature, degC, or None without a chamber. Raise RigFault if it has left the set-point."""
@@ -296,7 +296,7 @@ class _Run:
         set_rate, last = 0.0, math.inf
         if turning:
             spare_s = (TRAVEL_MARGIN - 1.0) * abs(step.travel / step.turn_rate)
-            spare_s += 0.0 if limited else attempt * SPARE_S * clock.speed
+            spare_s += 0.0 if limited else attempt * SPARE_S
             self._say("ramping")
             last = clock.now() + step.duration_s - step.ramp_s + spare_s  # start of the slow-down
             set_rate = rig.turn_for(step.turn_rate, step.duration_s + spare_s)
@@ -337,13 +337,13 @@ class _Run:
         """Read devices and encoder over a dwell."""
         clock = self._clock
         phase = "dwelling" if step.turn_rate != 0.0 else "resting"
-        every_s = min(POLL_S * clock.speed, step.dwell_s / POLLS)
+        every_s = min(POLL_S, step.dwell_s / POLLS)
         self._say(phase)
         devices = [*self._sound(devices, lambda device: device.readings.start())]
         air_read_at, positions = clock.now(), list[Position]()
         stop = air_read_at + step.dwell_s
         while clock.now() < stop or len(positions) < 3:
-            if clock.now() - air_read_at > max(AIR_POLL_S, 0.1 * clock.speed):
+            if clock.now() - air_read_at > AIR_POLL_S:
                 self._check_air(step)
                 air_read_at = clock.now()
             clock.wait(every_s)  # before each position, so that the delays of the link are equal

@@ -317,4 +317,4 @@ def open_from(url: str, settings: RigSettings) -> SimulatedTable:
     if url:
         raise InputError(f"simulated rig: the address must be 'simulated:', got 'simulated:{url}'. It has no port.")
     options: dict[str, Any] = {"limits": settings.limits, "servo": ServoSettings(encoder_lines=settings.encoder_lines)}
-    return SimulatedBench(settings=SimulatedSettings(**options), clock=settings.timing).table
+    return SimulatedBench(settings=SimulatedSettings(**options), clock=settings.clock).table
