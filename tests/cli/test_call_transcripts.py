@@ -25,8 +25,8 @@ def test_a_command_prints_its_approved_transcript(name, bench, tmp_path, monkeyp
     (tmp_path / "warm.toml").write_text(WARM)
     at_rest(tmp_path, "rest.csv")
     if name == "record":
-        monkeypatch.setattr("undrift.live.transports.serial_ports", lambda: [("/dev/ttyUSB0", "Arduino Uno")])
-        monkeypatch.setattr("undrift.live.transports.lsl_streams", list)
+        monkeypatch.setattr("undrift.commands.bench.source.serial_ports", lambda: [("/dev/ttyUSB0", "Arduino Uno")])
+        monkeypatch.setattr("undrift.commands.bench.source.lsl_streams", list)
     names = {"bench": bench, "here": tmp_path, "warm": data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz")}
     with on(place := Terminal(), 80):
         assert run(shlex.split(GOOD[name].format(**names))) in (0, 1)

@@ -221,10 +221,8 @@ class GalilRig(LinkedRig):
     def _prepare(self, settings: RigSettings) -> None:
         """Check that the table is free, configure the card and store the initial position. A running move is stopped."""
         card = self.card
-        self._fastest, self.slack = (
-            settings.limits.turn_rate / self.rad_per_unit,
-            math.radians(10.0) / self.rad_per_unit,
-        )
+        self._fastest = settings.limits.turn_rate / self.rad_per_unit
+        self.slack = math.radians(10.0) / self.rad_per_unit
         card.resynchronise()
         state = "moving" if self._is_moving() else "its motor on" if self._is_on() else ""
         check_free(card.name, state, settings)
