@@ -105,14 +105,12 @@ def rows_of(name: str, devices: int, seed: int) -> Iterator[Row]:
     for _ in range(devices):
         session, matrix, offset = drawn(case, rng)
         observed = observe(session, settings)
-        accel = calibrate_faces(observed, None)
+        accel = calibrate_faces(observed, "affine")
         try:
-            turns_fit = calibrate_turns(observed, None, accel.fit)
+            fit = calibrate_turns(observed, "affine", accel)
         except Implausible:  # coarse codes that repeat at the top of a turn look saturated: n is smaller
             continue
-        assert turns_fit.fit is not None
-        verdict = Verdict.of(*observed.findings, *turns_fit.findings).also(turns_fit.fit.verdict)
-        tally.add_model(verdict, turns_fit.fit.model, matrix, offset)
+        tally.add_model(Verdict.of(*observed.findings).also(fit.verdict), fit.model, matrix, offset)
     yield from tally.rows()
 
 

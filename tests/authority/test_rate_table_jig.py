@@ -13,7 +13,7 @@ from testkit.stepper_jig import RUNS, clock_lag, turned
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.rate_table import fit_rate_table
 from undrift.calibration.table import dwell_means
-from undrift.errors import Implausible, NotObservable
+from undrift.errors import NotObservable
 from undrift.record import Session
 
 
@@ -44,7 +44,7 @@ def test_wrong_stated_scale_of_one_axis_is_a_bad_verdict(run, sensor, status):
 @pytest.mark.parametrize("run", RUNS)
 def test_the_bosch_sensor_is_within_its_line_and_scale(run):
     dwells, lag = measured(run, "bno"), clock_lag(run)
-    fit = fit_rate_table(dwells, scale_tolerance=0.01)
+    fit = fit_rate_table(dwells)
     scale, offset = fit.model.forward_matrix[1, 1] * np.pi / 180.0, float(fit.model.offset[1])
     worst = np.degrees(np.abs(fit.residuals[:, 1]).max())
     relative = float(fit.model.standard_uncertainty[4] / fit.model.matrix[1, 1])
@@ -64,16 +64,12 @@ def test_the_bosch_sensor_is_within_its_line_and_scale(run):
 
 
 @pytest.mark.parametrize("run", RUNS)
-@pytest.mark.parametrize("tolerance", [0.01, 0.03])
-def test_wrong_conversion_of_the_st_sensor_is_refused(run, tolerance):
+def test_wrong_conversion_of_the_st_sensor_is_measured(run):
     dwells = measured(run, "lsm")
     fit = fit_rate_table(dwells)
     scale = fit.model.forward_matrix[1, 1] * np.pi / 180.0
     show(f"{run} LSM scale", f"{scale:.4f}", "0.848..0.855; 30.5 / 35 = 0.872 of the true sensitivity")
     assert 0.848 <= round(scale, 3) <= 0.855
-    with pytest.raises(Implausible) as caught:
-        fit_rate_table(dwells, scale_tolerance=tolerance)
-    assert caught.value.ratio == pytest.approx(scale, rel=0.01)  # the check takes the line before the fit
 
 
 @pytest.mark.slow

@@ -11,7 +11,6 @@ from undrift.calibration.codes import (
     _swept_codes,
     code_grid,
     code_variance,
-    device_adc,
     identify_adc,
     rounding_correlation,
     unknown_rounding,
@@ -67,11 +66,6 @@ def test_offset_subtracted_from_the_codes_hides_the_rounding():
     assert "offset was subtracted" in adc.reason
 
 
-def test_few_readings_or_constant_ones_have_no_grid():
-    assert np.isnan(code_grid(np.zeros(100))[0])
-    assert np.isnan(code_grid(np.array([1.0, 2.0, np.nan]))[0])
-
-
 @pytest.mark.parametrize(
     ("gyro", "step"),
     [
@@ -86,14 +80,6 @@ def test_only_codes_on_both_sides_of_zero_have_an_unknown_rounding(gyro, step):
     assert unknown_rounding([Record(time=np.arange(len(readings)) / 100.0, gyro=readings)]) == pytest.approx(step)
 
 
-def test_the_model_keeps_only_what_is_certain():
-    codes, time = np.trunc(sweeping(np.random.default_rng(5))), np.arange(40000) / 100.0
-    model = device_adc([Record(time=time, gyro=codes, accel=sweeping(np.random.default_rng(6)))])
-    assert model.gyro_rounding == "toward_zero"
-    assert model.accel_lsb is None
-    assert device_adc([Record(time=time, accel=codes)]).accel_rounding == "toward_zero"
-
-
 def test_putting_the_half_step_back_undoes_truncation_on_average():
     values = sweeping(np.random.default_rng(6))
     back = without_truncation(np.trunc(values), np.ones(3), "toward_zero")
@@ -103,11 +89,6 @@ def test_putting_the_half_step_back_undoes_truncation_on_average():
     floor = without_truncation(np.floor(values), np.ones(3), "floor")
     assert np.mean(floor - values) == pytest.approx(0.0, abs=0.01)
     np.testing.assert_array_equal(without_truncation(values, np.ones(3), "nearest"), values)
-
-
-def test_a_record_without_codes_gives_no_model():
-    record = Record(time=np.arange(40000) / 100.0, gyro=sweeping(np.random.default_rng(7)))
-    assert device_adc([record]) is None
 
 
 @pytest.mark.parametrize(

@@ -67,73 +67,6 @@ def part(rows, pieces, turns):
     )  # fmt: skip
 
 
-def test_closed_form_leans_on_uneven_windows():
-    even = fit_known_rotation(made(samples=np.full(6, 600.0)), gravity=G, mode="paper").model
-    np.testing.assert_allclose(even.offset, B, rtol=1e-12)
-    np.testing.assert_allclose(even.forward_matrix, K, rtol=1e-12)
-    uneven = fit_known_rotation(made(), gravity=G, mode="paper").model
-    lean = G_SENSITIVITY @ (G * face_vectors(FACES).T @ SAMPLES / SAMPLES.sum())
-    np.testing.assert_allclose(uneven.offset - B, lean, atol=1e-12)
-    assert np.abs(lean).max() > 1e-3
-
-
-def test_gaps_are_left_out_at_rest_and_refused_in_a_turn():
-    time = np.arange(40) / 10.0
-    gyro, accel = np.ones((40, 3)), np.tile([0.0, 0.0, 9.81], (40, 1))
-    gyro[3] = np.nan
-    record = Record(time=time, gyro=gyro, accel=accel)
-    stills, turn = [Still(start=0, stop=10, face="+z")], Turn(start=10, stop=20, axis="z", angle=1.0)
-    sums = rotation_rows([record], stills, [turn], matrix=np.eye(3), offset=np.zeros(3))
-    assert sums.samples.tolist() == [9.0]
-    np.testing.assert_allclose(sums.reading, 1.0)
-    with pytest.raises(InputError, match="z has gaps"):
-        rotation_rows(
-            [record], stills, [Turn(start=0, stop=9, axis="z", angle=1.0)], matrix=np.eye(3), offset=np.zeros(3)
-        )
-    gyro[:10] = np.nan
-    with pytest.raises(InputError, match="got 0"):
-        rotation_rows([Record(time=time, gyro=gyro, accel=accel)], stills, [turn], matrix=np.eye(3), offset=np.zeros(3))
-
-
-def test_a_turn_beyond_the_range_is_named_before_its_scale_is():
-    time = np.arange(400) / 100.0
-    rate = np.sin(np.pi * time / time[-1])[:, None] * [0.0, 0.0, 150.0] + 0.01 * np.random.default_rng(1).normal(
-        size=(400, 3)
-    )
-    record = Record(time=time, gyro=rate.clip(-100.0, 100.0), accel=np.tile([0.0, 0.0, 9.81], (400, 1)))
-    with pytest.raises(Implausible, match="are stuck at"):
-        rotation_rows(
-            [record],
-            [Still(start=0, stop=9, face="+z")],
-            [Turn(start=0, stop=400, axis="z", angle=6.0)],
-            matrix=np.eye(3),
-            offset=np.zeros(3),
-        )
-
-
-def test_a_rest_in_two_parts_counts_as_the_whole():
-    swayed = 0.5 * np.vstack((np.sin(np.arange(18.0)).reshape(6, 3), np.zeros((3, 3))))
-    whole = made(reading=made().reading + swayed)
-    apart = np.array([0.4, -0.2, 0.3])  # the parts disagree; weighed by their samples they make the mean of the whole
-    first, second = 500.0, SAMPLES[0] - 500.0
-    halves = np.vstack((whole.reading[0] + second * apart, whole.reading[0] - first * apart))
-    samples = np.concatenate(([first, second], SAMPLES[1:]))
-    split = replace(
-        whole,
-        reading=np.vstack((halves, whole.reading[1:])),
-        noise=np.vstack((0.3 / np.sqrt(samples)[:, None] * np.ones(3), whole.noise[6:])),
-        force=np.vstack((whole.force[:1], whole.force)),
-        faces=(FACES[0], *FACES),
-        samples=samples,
-    )
-    one, two = (fit_known_rotation(rows, gravity=G).model for rows in (whole, split))
-    # the fit stops at a share of the noise: by how much the rows miss the model is carried by a matrix that is nearly the final one
-    sigma = 1e-2 * one.standard_uncertainty
-    assert (np.abs(two.offset - one.offset) < sigma[9:12]).all()
-    assert (np.abs(two.matrix - one.matrix).ravel() < sigma[:9]).all()
-    assert (np.abs(two.g_sensitivity - one.g_sensitivity).ravel() < sigma[12:]).all()
-
-
 def parameters(model):
     return np.concatenate((model.matrix.reshape(-1), model.offset, model.g_sensitivity.reshape(-1)))
 
@@ -253,11 +186,11 @@ def test_rests_beside_the_turns_count_without_being_stated():
     stated = simulate_session("ferraris", random_device(rng), rng=rng)
     faces = replace(stated, stills=tuple(still for still in stated.stills if still.face is not None))
     both, alone = (observe(session, CalibrateSettings(identify_adc=False)) for session in (stated, faces))
-    accel = calibrate_faces(both, None).fit
-    every, result = (calibrate_turns(seen, None, accel) for seen in (both, alone))
+    accel = calibrate_faces(both, "affine")
+    every, result = (calibrate_turns(seen, "affine", accel) for seen in (both, alone))
     # The search loses half a second at each end of a rest of six, which is a tenth of its weight. The temperature is counted from
     # the mean time of the faces, which are all in the first half, so a drift adds a third.
-    sigma = result.fit.model.standard_uncertainty[9:12] / every.fit.model.standard_uncertainty[9:12]
+    sigma = result.model.standard_uncertainty[9:12] / every.model.standard_uncertainty[9:12]
     np.testing.assert_allclose(sigma, 1.2, atol=0.3)
 
 
@@ -286,7 +219,7 @@ def gyro_by_hand(device, rng, settings=HAND_AXIS, **statement):
     session = simulate_session("ferraris", device, rng=rng, settings=settings)
     off = tuple(replace(t, angle=t.angle + np.radians(1.0) * rng.normal()) for t in session.turns)
     seen = observe(replace(session, turns=off), CalibrateSettings(identify_adc=False, **statement))
-    return calibrate_turns(seen, None, calibrate_faces(seen, None).fit).fit
+    return calibrate_turns(seen, "affine", calibrate_faces(seen, "affine"))
 
 
 def plain(device, **more):
@@ -313,19 +246,6 @@ def test_an_angle_beyond_its_uncertainty_is_named_by_the_moves():
     fit = gyro_by_hand(plain(random_device(rng)), rng, angle_uncertainty_deg=0.05, axis_uncertainty_deg=0.02)
     assert "differ by" in only(fit.verdict.findings, "known_rotation.moves_disagree").sentence
     assert fit.verdict.status == "marginal"
-
-
-@pytest.mark.slow
-def test_slow_moves_are_weighed_by_the_wander_of_the_offset():
-    rng, over = np.random.default_rng(19), []
-    device = random_device(np.random.default_rng(2007), grade="consumer")
-    device = replace(device, gyro=replace(device.gyro, adc=None), accel=replace(device.accel, adc=None))
-    true, settings = true_calibration(device).gyro, replace(HAND_AXIS, move_s=12.0)
-    for _ in range(SESSIONS):
-        fit = gyro_by_hand(device, rng, settings)
-        over.append((fit.model.matrix - true.matrix).ravel() / fit.model.standard_uncertainty[:9])
-    low, high = share_limits(9 * SESSIONS)
-    assert low <= np.mean(np.abs(over) <= 1.96) <= high
 
 
 def test_moves_that_contradict_the_turns_are_a_warning():
@@ -400,3 +320,12 @@ def test_rows_that_contradict_the_session_are_refused(rows, settings, error, num
         fit_known_rotation(rows, gravity=G, **settings)
     for name, value in numbers.items():
         assert caught.value.numbers[name] == (pytest.approx(value, rel=0.05) if name == "ratio" else value)
+
+
+def test_gaps_in_a_turn_are_refused():
+    gyro = np.ones((40, 3))
+    gyro[12] = np.nan
+    record = Record(time=np.arange(40) / 10.0, gyro=gyro, accel=np.tile([0.0, 0.0, 9.81], (40, 1)))
+    turn = Turn(start=10, stop=20, axis="z", angle=1.0)
+    with pytest.raises(InputError, match="z has gaps"):
+        rotation_rows([record], [Still(start=0, stop=10, face="+z")], [turn], matrix=np.eye(3), offset=np.zeros(3))

@@ -12,7 +12,6 @@ from testkit.poses import fit_multi_position
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.moves import Moves, fit_moves, gravity_directions
 from undrift.errors import Implausible, InputError, NotObservable, PoorFit
-from undrift.kernels.calibrate import rotations_between
 from undrift.record import Record, Still
 from undrift.sim.motion.bench import BenchSettings, bench_motion
 
@@ -90,32 +89,6 @@ def test_turn_about_the_vertical_does_not_bias_the_offset() -> None:
     )  # 3 deg/s over one in twenty would be 2.6e-3
 
 
-def test_rotation_kernel_agrees_with_finite_differences() -> None:
-    rng = np.random.default_rng(2)
-    gyro, time = rng.normal(size=(40, 3)), np.arange(40) * 0.01
-    first, last = np.array([0, 15]), np.array([15, 39])
-    matrix, offset, drift = GYRO.reshape(-1), np.array([0.1, 0.2, -0.1]), 0.01 * rng.normal(size=6)
-
-    def turned(m: np.ndarray, o: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        rotation, sums = np.empty(18), np.empty(72)
-        rotations_between(gyro.reshape(-1), time, first, last, m, o, drift, rotation, sums)
-        return rotation.reshape(2, 3, 3), sums.reshape(2, 4, 3, 3)
-
-    rotation, sums = turned(matrix, offset)
-    for j in range(2):
-        steps = (gyro[first[j] + 1 : last[j] + 1] - offset - drift[3 * j : 3 * j + 3]) @ GYRO.T * 0.01
-        product = Rotation.identity()
-        for step in steps:
-            product = product * Rotation.from_rotvec(step)
-        np.testing.assert_allclose(rotation[j], product.as_matrix(), atol=1e-12)
-        for a in range(3):
-            for b in range(3):
-                h = np.zeros(9)
-                h[3 * a + b] = 1e-6
-                small = Rotation.from_matrix(turned(matrix + h, offset)[0][j] @ rotation[j].T).as_rotvec() / 1e-6
-                np.testing.assert_allclose(sums[j, b + 1][:, a], small, atol=2e-5)  # midpoint of steps of 0.02 rad
-
-
 def test_gravity_derivatives_agree_with_finite_differences() -> None:
     record = recorded()
     accel = fit_multi_position(record, gravity=G, gyro=False).accel.model
@@ -156,20 +129,6 @@ def test_moves_beyond_the_range_are_left_out_by_number() -> None:
         assert float(last) == pytest.approx(record.time[after.start], abs=0.1)
     assert fit.gyro is not None
     np.testing.assert_allclose(fit.gyro.model.matrix, GYRO, atol=0.005)
-
-
-def test_range_that_is_too_small_leaves_the_accelerometer() -> None:
-    record = recorded()
-    assert record.gyro is not None
-    assert record.accel is not None
-    top = 0.2 * float(np.abs(record.gyro).max())
-    fit = fit_multi_position(replace(record, gyro=record.gyro.clip(-top, top)), gravity=G, stills=MOTION.stills)
-    assert fit.gyro is None
-    with pytest.raises(NotObservable, match="19 of 19"):
-        fit_moves([replace(record, gyro=record.gyro.clip(-top, top))], MOTION.stills, fit.accel.model)
-    np.testing.assert_allclose(fit.accel.model.matrix, ACCEL, atol=0.005)
-    with pytest.raises(Implausible, match="stuck at"):
-        fit_multi_position(replace(record, accel=record.accel.clip(-8.5, 8.5)), gravity=G, stills=MOTION.stills)
 
 
 @pytest.mark.slow

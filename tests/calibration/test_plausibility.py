@@ -1,14 +1,11 @@
 """Plausibility: each refusal names the number and what to do."""
 
-import gzip
 import itertools
 
 import numpy as np
 import pytest
 
-from testkit.data import data_path, show
 from undrift.calibration.plausibility import (
-    axis_vectors,
     cause_by_gravity,
     check_axis_order,
     check_faces,
@@ -16,24 +13,15 @@ from undrift.calibration.plausibility import (
     check_gyro_scale,
     check_own_scale,
     check_range,
-    columns_text,
     face_vectors,
-    missing_faces,
     nearest_signed_permutation,
-    stuck_windows,
 )
 from undrift.errors import Implausible
 from undrift.record import FACES
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+from undrift.units import RADIAN_PER_DEGREE
 
 FORWARD = np.array([[1.02, 0.01, -0.008], [0.004, 0.97, 0.012], [-0.006, 0.009, 1.01]])
 READING = 9.81 * face_vectors(FACES) @ FORWARD.T + np.array([0.3, -0.2, 0.1])
-
-
-def test_faces_and_axes_become_signed_unit_vectors():
-    np.testing.assert_array_equal(face_vectors(("-y", "+z")), [[0.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
-    np.testing.assert_array_equal(axis_vectors(("z", "x")), [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
-    assert missing_faces(("+x", "-x", "+y", "-z")) == ("-y", "+z")
 
 
 def permuted(*order):
@@ -87,44 +75,23 @@ def test_gravity_is_the_length_of_the_force_in_any_pose():
     assert caught.value.ratio == pytest.approx(0.25, abs=0.01)
 
 
-@pytest.mark.parametrize(("name", "ratio"), [("BMI_270_hot_test", 0.252), ("BMI_270_cold_test", 0.254)])
-def test_bmi270_logs_are_refused_at_a_quarter_of_gravity(name, ratio):
-    # A public log (2026; MIT) whose firmware divides by 16384 in the +-8 g range; its broken first and last lines are skipped.
-    with gzip.open(data_path("thermal_bmi270_two_point", f"{name}.csv.gz"), "rt", errors="replace") as file:
-        rows = [line.strip().split(",") for line in file]
-    accel = np.array([[float(x) for x in row[1:4]] for row in rows if len(row) == 7 and _numbers(row)])
-    with pytest.raises(Implausible) as caught:
-        check_gravity(accel * STANDARD_GRAVITY, STANDARD_GRAVITY)
-    show(f"{name} |a|, g", f"{caught.value.ratio:.4f}", ratio)
-    assert caught.value.ratio == pytest.approx(ratio, abs=0.001)
-
-
-def _numbers(row):
-    try:
-        return all(np.isfinite(float(x)) for x in row)
-    except ValueError:
-        return False
-
-
 @pytest.mark.parametrize(
-    ("scales", "tolerance", "ratio", "words"),
+    ("scales", "ratio", "words"),
     [
-        ((1.99, 2.01, 2.0), 0.2, 2.01, "times too large"),
-        ((0.8507,), 0.03, 0.8507, "nominal value"),
-        ((0.5,), 0.2, 0.5, "50 samples"),
-        ((1.2, 0.7, 1.0), 0.25, 0.7, "nominal value"),  # the scale factor that is furthest off
-        ((1.4, 0.7, 1.0), 0.25, 1.4, "nominal value"),
+        ((0.5,), 0.5, "50 samples"),
+        ((1.2, 0.7, 1.0), 0.7, "nominal value"),  # the scale factor that is furthest off
+        ((1.4, 0.7, 1.0), 1.4, "nominal value"),
     ],
 )
-def test_scale_beyond_its_tolerance_is_refused(scales, tolerance, ratio, words):
+def test_scale_beyond_its_tolerance_is_refused(scales, ratio, words):
     with pytest.raises(Implausible, match=words) as caught:
-        check_own_scale(np.array(scales), "rad/s", "rate", tolerance, "gyroscope", sample_rate_hz=100.0)
-    assert (caught.value.ratio, caught.value.tolerance) == (ratio, tolerance)
+        check_own_scale(np.array(scales), "rad/s", "rate", "gyroscope", sample_rate_hz=100.0)
+    assert caught.value.ratio == ratio
 
 
 @pytest.mark.parametrize(("scales", "unit"), [((1.0, 1.02, 0.98), "rad/s"), ((16.4,), "count")])
 def test_scale_within_its_tolerance_passes(scales, unit):
-    check_own_scale(np.array(scales), unit, "rate", 0.03, "gyroscope")
+    check_own_scale(np.array(scales), unit, "rate", "gyroscope")
 
 
 @pytest.mark.parametrize(
@@ -193,18 +160,6 @@ def test_exchanged_accelerometer_columns_show_as_the_cause_says():
     exchanged = rows("+y", "+x", "+z")  # a' = A a; a turn seen in that frame is det(A) A w
     forward = np.linalg.inv(np.linalg.det(exchanged) * exchanged)
     assert cause_by_gravity(nearest_signed_permutation(forward)).startswith("accelerometer columns x")
-
-
-@pytest.mark.parametrize(
-    ("seen", "words"),
-    [
-        (rows("+y", "+x", "+z"), "are exchanged"),
-        (rows("+y", "+z", "+x"), "in a ring"),
-        (rows("+x", "+y", "-z"), "z is reversed"),
-    ],
-)
-def test_columns_that_are_exchanged_or_reversed_are_named(seen, words):
-    assert columns_text(seen).endswith(words)
 
 
 @pytest.mark.parametrize(("against", "words"), [("accelerometer", "accelerometer axes"), ("turns", "of the turns")])
@@ -283,7 +238,3 @@ def to_one_side():
 )
 def test_readings_within_the_range_pass(windows):
     check_range(windows, "gyroscope")
-
-
-def test_window_with_saturated_readings_is_found():
-    assert stuck_windows([COARSE[:1000], SPOILT[900:1100], COARSE[1000:]]).tolist() == [False, True, False]

@@ -78,36 +78,6 @@ def test_mode_paper_is_equation_six_to_the_last_digit():
     assert fit.verdict.reasons == ()
 
 
-@pytest.mark.parametrize(
-    ("limits", "offset_dps", "loss_percent"),
-    [
-        ((5.0, 90.0, 5.0), 1.0, 0.10),
-        ((5.0, 90.0, 5.0), 5.0, 2.4),
-        ((0.1, 5.0, 0.1), 0.1, 0.34),
-        ((0.1, 5.0, 0.1), 1.0, 25.5),
-    ],
-)
-def test_offset_left_in_mode_paper_costs_the_stated_gain(limits, offset_dps, loss_percent):
-    grid = rate_grid(*limits, rule="paper") * DPS
-    residual = np.array([0.0, 0.6, -0.8]) * offset_dps * DPS
-    means = dwells(offset=K @ residual, grid=grid, noise=1e-6)
-    fit = fit_rate_table(means, mode="paper")
-    k = 3.0 * len(grid) / float((grid**2).sum())
-    np.testing.assert_allclose(
-        fit.model.matrix @ K, np.linalg.inv(np.eye(3) + k * np.outer(residual, residual)), atol=1e-10
-    )
-    share = k * float(residual @ residual)
-    assert 100.0 * share / (1.0 + share) == pytest.approx(loss_percent, rel=0.04)  # printed to two digits
-
-
-def test_achieved_rates_determine_the_gain():
-    achieved = (
-        rate_grid(0.1, 5.0, 0.1, rule="paper") * DPS * 0.99
-    )  # a table that rounds every rate down by one per cent
-    fit = fit_rate_table(dwells(grid=achieved))
-    np.testing.assert_allclose(fit.model.forward_matrix, K, rtol=1e-11, atol=1e-9)
-
-
 def test_earth_rate_is_added_to_the_axis_that_points_up():
     means = dwells()
     rates = imposed_rates(means, 42.0)
@@ -133,12 +103,6 @@ def about(axis, **changes):
         "noise": None,
     }
     return replace(means, **(own | changes))
-
-
-def test_turns_about_one_axis_show_one_column():
-    fit = fit_rate_table(about("y"))
-    np.testing.assert_allclose(fit.model.forward_matrix[:, 1], K[:, 1], rtol=1e-9)
-    np.testing.assert_allclose(fit.model.offset, B, rtol=1e-9)
 
 
 def record(noise=1e-5, seconds=3.0, settle=True):
@@ -258,23 +222,6 @@ def test_dwells_count_by_their_noise():
     np.testing.assert_allclose(model.covariance / np.outer(size, size), expected / np.outer(size, size), atol=2e-3)
 
 
-def test_covariance_of_mode_paper_is_first_order_of_its_readings():
-    means = dwells(offset=np.zeros(3), grid=np.array([-90.0, -40.0, 10.0, 60.0]) * DPS, k=UNEQUAL)
-    means = replace(means, noise=np.full(means.reading.shape, 1.0) * [0.02, 0.05, 0.2])
-    model = fit_rate_table(means, mode="paper").model
-    rates, shape = imposed_rates(means, None), means.reading.shape
-
-    def of(readings):
-        s = readings.reshape(shape)
-        return (rates.T @ s @ np.linalg.inv(s.T @ s)).reshape(-1)
-
-    expected = propagated(of, means.reading.reshape(-1), np.diag(means.noise.reshape(-1) ** 2))
-    size = np.sqrt(np.diag(expected))
-    np.testing.assert_allclose(
-        model.covariance[:9, :9] / np.outer(size, size), expected / np.outer(size, size), rtol=0, atol=0.02
-    )
-
-
 def test_range_of_a_fit_is_what_its_dwells_reached():
     fit = fit_rate_table(dwells(grid=np.array([-90.0, -5.0, 5.0, 30.0]) * DPS))
     np.testing.assert_allclose(fit.model.valid_range, (-90.0 * DPS, 30.0 * DPS), rtol=1e-15)
@@ -304,22 +251,6 @@ def turned(gain=1.0, axis="y", unit="dps", column=None):
     return DwellMeans(
         reading=reading + 0.3, turn_rate=AXIS_RATES * DPS, axis=(axis,) * 4, unit=unit, span=spans(4), noise=None
     )
-
-
-def joined(x, y):
-    """Dwells about x, and the first about y."""
-    return replace(
-        x,
-        reading=np.vstack((x.reading, y.reading[:1])),
-        turn_rate=np.concatenate((x.turn_rate, y.turn_rate[:1])),
-        axis=("x",) * 4 + ("y",),
-        span=spans(5),
-    )
-
-
-def test_one_rate_about_an_axis_leaves_it_out():
-    fit = fit_rate_table(joined(turned(axis="x"), turned(axis="y")))
-    np.testing.assert_allclose(fit.model.offset, 0.3, rtol=1e-6)
 
 
 def test_axes_that_were_not_turned_keep_their_prior():
@@ -401,19 +332,6 @@ def test_sound_tables_pass():
     checked(*table(curve=0.003))  # 0.5 % of full scale at the ends
 
 
-def test_too_few_dwells_to_tell_are_left_alone():
-    dwells, _ = table()
-    few = [0, 3, 4, 7, 8, 11]
-    six = replace(
-        dwells,
-        reading=dwells.reading[few],
-        turn_rate=-dwells.turn_rate[few],
-        axis=tuple(dwells.axis[k] for k in few),
-        up=np.ones(6),
-    )
-    checked(six, None)
-
-
 def test_table_that_drifts_or_scatters_is_not_good():
     dwells, rests = table(noise=0.05)
     assert fit_rate_table(dwells.with_rests(**rests)).verdict.status == "good"
@@ -444,7 +362,7 @@ def test_table_that_drifts_or_scatters_is_not_good():
         (turned(-1.0, unit="count"), {}, Implausible, {"reads": "-y"}),
         (turned(column="z"), {}, Implausible, {"reads": "+z"}),
         (turned(column="z", unit="count"), {}, Implausible, {"reads": "+z"}),
-        (turned(0.853), {"scale_tolerance": 0.03}, Implausible, {"ratio": pytest.approx(0.853, abs=1e-4)}),
+        (turned(0.7), {}, Implausible, {"ratio": pytest.approx(0.7, abs=1e-4)}),
     ],
 )
 def test_dwells_that_show_no_gyroscope_are_refused(dwells, settings, error, numbers):

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.erring_bench import rate_table as rate_bench
 
 from testkit.cramer_rao import white_device
 from testkit.quiet import without_noise
@@ -124,33 +123,6 @@ def test_pieces_with_one_axis_up_are_one_mounting(words, numbers):
     np.testing.assert_array_equal((result[:, None] == result[None, :])[np.ix_(on, on)], alike[np.ix_(on, on)])
 
 
-@pytest.mark.slow
-def test_dwells_in_recordings_of_their_own_are_one_mounting_too():
-    """A rig run writes a recording for each dwell: the azimuth is then known within each alone."""
-    device, session = turned()
-    record = session.records[0]
-    turns = tuple(
-        replace(turn, recording=n, start=0, stop=turn.stop - turn.start) for n, turn in enumerate(session.turns)
-    )
-    table = RateTable(mount_tilt_deg=0.5, table_level_deg=0.2)
-    rng = np.random.default_rng(8)
-    noisy = replace(
-        record, accel=record.accel + 0.05 / true_accel(device).matrix[0, 0] * rng.standard_normal((len(record), 3))
-    )
-    parts = tuple(noisy.part(turn.start, turn.stop) for turn in session.turns)
-    lone = axes_of(session, table, None, turns, parts)
-    np.testing.assert_allclose(sigma_of(lone, session), 0.5 * DEG, rtol=1e-9)
-    accel = true_accel(device)
-    whole, result = axes_of(session, table, accel, records=(noisy,)), axes_of(session, table, accel, turns, parts)
-    true = np.array([turn_axis(session, turn) for turn in session.turns])
-    error = np.abs(result.direction - true).max()
-    sigma = sigma_of(result, session).max()
-    # The level, 0.2 deg, is an unknown of each of six dwells; those of 20 deg/s turn by a sixth.
-    assert error < 3.0 * sigma
-    assert sigma < 0.2 * DEG
-    assert sigma > 1.5 * sigma_of(whole, session).max()
-
-
 def test_each_recording_has_its_level():
     device, session = turned(table=BenchErrors(mount_tilt=0.1 * DEG, level=0.2 * DEG))
     turns = tuple(
@@ -210,42 +182,8 @@ def test_a_gap_in_the_gyroscope_leaves_a_block_unmeasured():
     assert (sigma[~about_x] < 0.5 * DEG).all()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("devices", [16, 100])
-def test_mounting_worse_than_stated_is_covered(devices):
-    case, rng, ratio = rate_bench.CASES["mounted 0.3 deg off, faces by 0.2 deg"], np.random.default_rng(31), []
-    for _ in range(devices):
-        device, session, *_ = rate_bench.drawn(case, rng)
-        gyro = calibrate(session, settings=rate_bench.SETTINGS).gyro
-        off = gyro.matrix - np.linalg.inv(device.gyro.forward_matrix)
-        ratio.append((off / gyro.standard_uncertainty[:9].reshape(3, 3))[~np.eye(3, dtype=bool)])
-    inside = np.abs(ratio) <= 1.959964
-    # Nine tenths and three standard errors; the half of all terms is independent. With the stated size alone half of them hold
-    assert inside.mean() > 0.9 - 3.0 * (0.09 / (0.5 * inside.size)) ** 0.5
-
-
-def test_two_axes_keep_the_mountings_uncertainty_too():
-    _, session = turned()
-    about = [turn for turn in session.turns if turn.axis != "z"]
-    part = replace(session, turns=tuple(about), stills=())
-    narrow, wide = (
-        calibrate(replace(part, rate_table=RateTable(mount_tilt_deg=tilt)), gyro="rate-table").gyro
-        for tilt in (0.0, 1.0)
-    )
-    sigma = wide.standard_uncertainty / wide.matrix[0, 0]
-    assert sigma[1] == pytest.approx(1.0 * DEG, rel=0.1)  # of m_xy
-    assert narrow.standard_uncertainty[1] < 0.1 * wide.standard_uncertainty[1]
-
-
 @pytest.mark.parametrize("name", ["table_level_deg", "mount_tilt_deg", "rate_uncertainty", "wobble_deg"])
 def test_what_no_table_can_be_is_refused(name):
     for value in (-0.1, float("nan")):
         with pytest.raises(InputError, match=name):
             RateTable(**{name: value})
-
-
-def test_dwells_too_short_for_gravity_are_calibrated_by_rates() -> None:
-    device, session = turned(dwell_s=0.5)
-    # gravity is not seen: the axes are those stated, as well as a table is mounted
-    felt = axes_of(session, RateTable(), true_accel(device))
-    np.testing.assert_array_equal(felt.direction, [unit_vector(turn.axis) for turn in session.turns])

@@ -6,11 +6,9 @@ import pytest
 from testkit.data import show
 from testkit.hand_held import Tremor, hand_held_log
 from undrift.calibration.calibrate import calibrate
-from undrift.calibration.session import observe
-from undrift.calibration.settings import CalibrateSettings
-from undrift.errors import InputError, NotObservable
+from undrift.errors import NotObservable
 from undrift.record import Record, Session
-from undrift.segments import StillSettings, find_poses, find_still
+from undrift.segments import find_poses, find_still
 
 # Postural tremor of a hand with a phone: about 1 deg/s and 0.05 m/s2; a strong one is four times that.
 TREMORS = {
@@ -57,22 +55,6 @@ def test_a_hand_held_log_calibrates_the_accelerometer(level):
     assert calibration.accel.method.startswith("multi-position")
     # 0.25 m/s2 of tremor at 9 Hz, averaged over 3 s and more, and 1 deg of sway, which gravity's length does not see
     assert error < 2e-3
-
-
-def test_stills_are_searched_with_stated_settings():
-    record, _ = hand_held_log(np.random.default_rng(0), TREMORS["strong"])
-    assert find_still(record).stills == ()
-    many = find_still(record, StillSettings(threshold_floors=8.0))
-    assert len(many.stills) >= 9
-    seen = observe(session_of(record), CalibrateSettings(still=StillSettings(threshold_floors=8.0)))
-    assert len(seen.stills) == len(many.stills)
-
-
-def test_settings_of_stills_above_zero_alone_are_taken():
-    with pytest.raises(InputError, match="window_s must be"):
-        StillSettings(window_s=0.0)
-    with pytest.raises(InputError, match="got -2"):
-        StillSettings(threshold_floors=-2.0)
 
 
 def test_white_noise_over_the_limits_of_a_bench_hides_no_rest():

@@ -6,18 +6,11 @@ from undrift.drift.observe import RateSteps, RestBlocks
 from undrift.sim.device.effects import SensorChain
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import simulate_device
-from undrift.sim.motion.bench import BenchSettings, bench_motion
 from undrift.sim.motion.motion import Motion
 
 GRID = np.radians(np.arange(5, 91, 5))  # rates of the note's sit-to-stand task, in one direction
 SOAKS = np.concatenate((np.arange(18.0, 75.0, 5.0), [75.0]))
 GRAVITY = 9.80665
-
-
-def table_motion(rates: np.ndarray = GRID, dwell_s: float = 2.0) -> Motion:
-    """Return the turns of a soak: three mountings, each rate in both directions."""
-    settings = BenchSettings(turn_rates=tuple(rates), dwell_s=dwell_s, still_s=6.0)
-    return bench_motion("rate_table", rng=np.random.default_rng(0), settings=settings)
 
 
 def soaked(

@@ -12,6 +12,7 @@ step before the fit, as ``correct`` does. If the session does not determine a pa
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from typing import Any
@@ -28,7 +29,7 @@ from undrift.calibration.quality import check_accel, mean_reading
 from undrift.calibration.rate_table import calibrate_rates
 from undrift.calibration.reference import ReferenceFit, fit_reference
 from undrift.calibration.reference_accel import fit_reference_accel, turned_like
-from undrift.calibration.session import Observed, Outcome, at_one_temperature, check_alike, observe
+from undrift.calibration.session import Observed, at_one_temperature, check_alike, observe
 from undrift.calibration.settings import AccelFit, CalibrateSettings, GyroFit, Mode
 from undrift.calibration.six_face import calibrate_faces
 from undrift.calibration.sources import Kind, creep_of, name_stated_sources
@@ -44,7 +45,7 @@ from undrift.segments import unpadded
 from undrift.sync import LONGEST_LAG_S, padding
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
-Fit = Callable[[Observed, Mode | None, TriadFit | None], Outcome]
+Fit = Callable[[Observed, Mode, TriadFit | None], TriadFit]
 
 MIN_FREE_POSES = 9  # smallest number of poses of a multi-position fit
 LATITUDE_LIKE_RADIANS = (0.4, 1.22)  # latitudes that may be in radians (23 to 70 deg, where people live)
@@ -55,26 +56,21 @@ GIVE_GRAVITY = "Give `gravity_m_s2`, or `latitude_deg` and `height_m`."
 RECORD_TURNS = "Record turns by known rates or angles."
 
 
-def calibrate_rest(observed: Observed, mode: Mode | None, accel: TriadFit | None) -> Outcome:
+def calibrate_rest(observed: Observed, mode: Mode, accel: TriadFit | None) -> TriadFit:
     """Measure the offset of the gyroscopes at rest, with a nominal scale factor."""
-    records, stills = observed.session.records, observed.stills
-    unit, steady = records[0].gyro_unit, 0 if observed.session.turns else len(observed.plateaus())
-    # Faces and poses are meant for the accelerometers. Full or steady turns were meant for the gyroscopes.
-    turned = steady or (is_physical(unit) and observed.turns_of(2.0 * np.pi))
-    level: Level = "warn" if accel is None or turned else "info"
-    record = f"Give turn_rate_dps and axis for each of {steady} steady turns." if steady else RECORD_TURNS
+    records, stills, unit = observed.session.records, observed.stills, observed.session.records[0].gyro_unit
     if not stills or not is_physical(unit):  # a model gives rad/s, and the scale of counts is unknown
-        return Outcome(findings=(_not_observable("Gyroscope", level, record=record),))
+        raise NotObservable(f"The session does not determine the gyroscope. {RECORD_TURNS}")
     factor, creep = si_factor(unit, "rate"), creep_of(observed, stills, "gyro")
     offset, variance = observed.rest_rate(creep.columns(np.zeros(len(stills)), 1.0 / factor)[:, 0])
     means = np.array([mean_reading(records[still.recording].gyro, still.start, still.stop) for still in stills])
     if np.isnan(offset).any():
-        return Outcome(findings=(_not_observable("Gyroscope", "warn", record=RECORD_TURNS),))
+        raise NotObservable("The gyroscope has no readings at rest. Record a rest without gaps.")
     share = np.where(np.eye(3) > 0.0, SCALE_FACTOR, observed.settings.cross_axis_prior)
     nominal = f"the nominal scale is used with +- {100.0 * SCALE_FACTOR:g} % (1 sigma)."
-    fit = triad_fit(
+    return triad_fit(
         (means[~np.isnan(means).any(axis=1)] - offset) * factor,
-        Verdict.of(_not_observable("Gyroscope scale", level, why=nominal, record=record)),
+        Verdict.of(_no_scale(observed, accel, "Gyroscope scale", why=nominal), *creep.findings()),
         method="rest",
         unit_in=unit,
         unit_out="rad/s",
@@ -85,7 +81,6 @@ def calibrate_rest(observed: Observed, mode: Mode | None, accel: TriadFit | None
         condition=1.0,
         valid_range=(0.0, 0.0),
     )
-    return Outcome(fit=fit, method="rest", findings=creep.findings())
 
 
 ACCEL_FITS: dict[str, Fit] = {"six-face": calibrate_faces, "multi-position": calibrate_poses}
@@ -182,24 +177,28 @@ def calibrated(
     _check_raw(session.records)
     session, other_temperatures = at_one_temperature(session)
     observed = observe(session, settings)
-    accel_outcome = _calibrate_accel(observed, accel, mode)
-    gyro_outcome = _calibrate_gyro(observed, gyro, mode, accel_outcome.fit)
-    findings = (*other_temperatures, *_doubts(observed, accel_outcome, gyro_outcome))
-    findings += accel_outcome.findings + gyro_outcome.findings
+    accel_fit, accel_findings = _calibrate_accel(observed, accel, mode or "affine")
+    gyro_fit, gyro_findings = _calibrate_gyro(observed, gyro, mode or "affine", accel_fit)
+    findings = (*other_temperatures, *_doubts(observed, accel_fit, gyro_fit), *accel_findings, *gyro_findings)
     verdict, models = _collect_verdict(findings), dict[str, TriadModel]()
     kinds: tuple[Kind, Kind] = ("accel", "gyro")
-    visible = () if accel_outcome.fit is None else ("mounting",)  # gravity measures it
-    for kind, fit in zip(kinds, (accel_outcome.fit, gyro_outcome.fit), strict=True):
+    visible = () if accel_fit is None else ("mounting",)  # gravity measures it
+    for kind, fit in zip(kinds, (accel_fit, gyro_fit), strict=True):
         if fit is not None:
             stated = name_stated_sources(kind, fit.model, observed.session, settings, visible=visible)
             verdict, models[kind] = verdict.also(fit.verdict).also(Verdict.of(*stated)), fit.model
     if not models:
         reasons = " ".join(item.text for item in findings)
         raise NotObservable(f"calibrate: no pose or turn can be used for a fit: {reasons}")
-    choices = _choices(observed, accel_outcome.method, gyro_outcome.method, mode)
+    choices = _choices(observed, _method(accel_fit), _method(gyro_fit), mode)
     return _build_calibration(
         session, choices, observed.mean_temperature(), adc=observed.adc, verdict=verdict, **models
     ), observed
+
+
+def _method(fit: TriadFit | None) -> str:
+    """Return the name of a fit without its mode."""
+    return "none" if fit is None else fit.model.method.partition("/")[0]
 
 
 def _collect_verdict(findings: Iterable[Finding]) -> Verdict:
@@ -217,7 +216,7 @@ def _gravity_assumed(gravity_m_s2: float, level: Level) -> Finding:
     return finding("session.gravity", level, sentence, GIVE_GRAVITY)
 
 
-def _doubts(observed: Observed, accel: Outcome, gyro: Outcome) -> Iterator[Finding]:
+def _doubts(observed: Observed, accel: TriadFit | None, gyro: TriadFit | None) -> Iterator[Finding]:
     """Yield findings about a doubtful latitude, gravity or gyroscope scale, and about the pieces."""
     latitude_deg = observed.settings.latitude_deg
     if latitude_deg is not None and LATITUDE_LIKE_RADIANS[0] < abs(latitude_deg) < LATITUDE_LIKE_RADIANS[1]:
@@ -225,14 +224,12 @@ def _doubts(observed: Observed, accel: Outcome, gyro: Outcome) -> Iterator[Findi
         yield finding(
             "session.gravity", "warn", f"The latitude {latitude_deg:g} may be in radians: {as_degrees}.", GIVE_GRAVITY
         )
-    if observed.session.gravity_source == "standard" and accel.fit is not None:
+    if observed.session.gravity_source == "standard" and accel is not None:
         yield _gravity_assumed(observed.session.gravity_m_s2, "warn")
-    if gyro.fit is not None:
+    if gyro is not None:
         largest = max(float(np.nanmax(np.abs(r.gyro))) for r in observed.session.records if r.gyro is not None)
-        rates_given = gyro.method in ("rate-table", "known-rotation")
-        yield from check_gyro_scale(
-            gyro.fit.model.scale_factor, gyro.fit.model.unit_in, largest, rates_given=rates_given
-        )
+        rates_given = _method(gyro) in ("rate-table", "known-rotation")
+        yield from check_gyro_scale(gyro.model.scale_factor, gyro.model.unit_in, largest, rates_given=rates_given)
     yield from observed.findings
 
 
@@ -250,64 +247,77 @@ def find_pieces(session: Session, settings: CalibrateSettings) -> tuple[Session,
 # ---- one triad: the fit that was named, or the first that the session allows
 
 
-def _calibrate_accel(observed: Observed, method: AccelFit | None, mode: Mode | None) -> Outcome:
-    """Return the accelerometers' fit, compared with the rests that it did not use."""
+def _calibrate_accel(
+    observed: Observed, method: AccelFit | None, mode: Mode
+) -> tuple[TriadFit | None, tuple[Finding, ...]]:
+    """Return the accelerometers' fit, compared with the rests that it did not use, and further findings."""
     if all(record.accel is None for record in observed.session.records):
         if method is not None:
             raise NotObservable(f"accelerometer by {method}: no accelerometer readings. Map the accel columns.")
-        return Outcome()
+        return None, ()
     missing = missing_faces([still.face for still in observed.faced if still.face is not None])
     faces = observed.mostly_faces if observed.found else len(missing) < 2
+    name = method or ("six-face" if faces else "multi-position")
     try:
         if method is None and not faces and len(observed.stills) < FEWEST_POSES:
             raise NotObservable(
                 f"expected rests on six faces or {MIN_FREE_POSES} free poses, got {len(observed.stills)}."
             )
-        outcome = ACCEL_FITS[method or ("six-face" if faces else "multi-position")](observed, mode, None)
+        fit = ACCEL_FITS[name](observed, mode, None)
     except NotObservable as error:
         if method is not None or faces:
             raise
         why = f"{error} Faces without a rest: {', '.join(missing) or 'none'}."
-        return Outcome(
-            findings=(_not_observable("Accelerometer", "warn", why=why, record="Record the missing rests."),)
-        )
-    _check_mode("accelerometer", mode, outcome, "rests on all six faces")
-    findings = list[Finding]()
-    if outcome.method == "multi-position":
+        return None, (_not_observable("Accelerometer", "warn", why=why, record="Record the missing rests."),)
+    _check_mode("accelerometer", mode, fit, "rests on all six faces")
+    used, findings = observed.faced if name == "six-face" else observed.stills, list[Finding]()
+    if name == "multi-position":
         record = "Rest on six faces of the case, because free poses determine only the length of gravity."
         findings.append(_not_observable("Mounting of the sensors in the case", "info", record=record))
-    if outcome.fit is not None:
-        findings += check_accel(observed.session, outcome.fit.model, observed.unused_stills(outcome.used))
-    return outcome.after(*findings)
+    return fit, (*findings, *check_accel(observed.session, fit.model, observed.unused_stills(used)))
 
 
-def _calibrate_gyro(observed: Observed, method: GyroFit | None, mode: Mode | None, accel: TriadFit | None) -> Outcome:
-    """Fit the gyroscopes. If no fit is possible, return their offset at rest."""
+def _calibrate_gyro(
+    observed: Observed, method: GyroFit | None, mode: Mode, accel: TriadFit | None
+) -> tuple[TriadFit | None, tuple[Finding, ...]]:
+    """Fit the gyroscopes, or measure their offset at rest if no fit is possible. Also return further findings."""
     if method == "none" or all(record.gyro is None for record in observed.session.records):
         if method not in (None, "none"):
             raise NotObservable(f"gyroscope by {method}: no gyroscope readings. Map the gyro columns.")
-        return Outcome()
-    sound, saturated = observed.without_saturated_turns()
-    fit_name = method or _choose_gyro_fit(sound, bool(saturated))
+        return None, ()
+    sound, findings = observed.without_saturated_turns()
+    name = method or _choose_gyro_fit(sound, bool(findings))
+    fit: TriadFit | None = None
     try:
-        outcome = GYRO_FITS[fit_name](sound, mode, accel)
-        if outcome.fit is None and (method is not None or fit_name != "rest"):
-            raise NotObservable(" ".join(item.text for item in outcome.findings))
+        fit = GYRO_FITS[name](sound, mode, accel)
     except NotObservable as error:
         if method is not None:
-            reasons = (f"gyroscope by {method}: {error}", *(item.text for item in saturated))
+            reasons = (f"gyroscope by {method}: {error}", *(item.text for item in findings))
             raise NotObservable(" ".join(reasons), **error.numbers) from error
-        rest = calibrate_rest(observed, mode, accel)
-        failed = _not_observable("Gyroscope scale", "warn", why=str(error), record=RECORD_TURNS)
-        outcome = replace(rest, findings=(failed, *(() if rest.fit is None else rest.findings)))
-    outcome = outcome.after(*saturated)
-    if outcome.fit is None:
-        return outcome
-    _check_mode("gyroscope", mode, outcome, "turns by known rates or angles")
-    if accel is None and outcome.method in ("rate-table", "known-rotation"):
+        if name == "rest":
+            return None, (*findings, _no_scale(observed, accel, "Gyroscope"))
+        findings = (*findings, _not_observable("Gyroscope scale", "warn", why=str(error), record=RECORD_TURNS))
+        with suppress(NotObservable):
+            fit = calibrate_rest(observed, mode, accel)
+    if fit is None:
+        return None, findings
+    _check_mode("gyroscope", mode, fit, "turns by known rates or angles")
+    if accel is None and _method(fit) in ("rate-table", "known-rotation"):
         record = "Record rests on six faces with accelerometers in the same session."
-        outcome = outcome.after(_not_observable("g-sensitivity of the gyroscopes", "info", record=record))
-    return outcome
+        findings = (_not_observable("g-sensitivity of the gyroscopes", "info", record=record), *findings)
+    return fit, findings
+
+
+def _no_scale(observed: Observed, accel: TriadFit | None, what: str, why: str = "") -> Finding:
+    """Return a finding about gyroscopes without known turns.
+
+    Faces and poses are meant for the accelerometers, but full or steady turns were meant for the gyroscopes.
+    """
+    steady = 0 if observed.session.turns else len(observed.plateaus())
+    full_turns = is_physical(observed.session.records[0].gyro_unit) and observed.turns_of(2.0 * np.pi)
+    level: Level = "warn" if accel is None or steady or full_turns else "info"
+    record = f"Give turn_rate_dps and axis for each of {steady} steady turns." if steady else RECORD_TURNS
+    return _not_observable(what, level, record=record, why=why)
 
 
 def _choose_gyro_fit(observed: Observed, saturated: bool) -> GyroFit:
@@ -323,8 +333,8 @@ def _choose_gyro_fit(observed: Observed, saturated: bool) -> GyroFit:
     return "multi-position" if with_force and len(observed.stills) >= MIN_FREE_POSES else "rest"
 
 
-def _check_mode(triad: str, mode: Mode | None, outcome: Outcome, record: str) -> None:
-    if mode == "paper" and outcome.method == "multi-position":
+def _check_mode(triad: str, mode: Mode, fit: TriadFit, record: str) -> None:
+    if mode == "paper" and _method(fit) == "multi-position":
         raise InputError(f"calibrate: mode paper of the {triad} requires {record}. Record them, or use mode affine.")
 
 

@@ -22,7 +22,6 @@ from itertools import pairwise
 import numpy as np
 
 from undrift.arrays import FloatArray, bridged
-from undrift.calibration.norm import TOLERANCE
 from undrift.calibration.plausibility import check_own_scale
 from undrift.calibration.reference import scale_keeps_prior
 from undrift.errors import Implausible, InputError, NotObservable
@@ -332,15 +331,10 @@ def _result(
         offset_uncertainty=np.array([spread[numbers].max(axis=0) for numbers in numbers_of]),
         acceleration=acceleration,
     )
-    length = (
-        np.median([np.median(np.linalg.norm(np.asarray(record.accel), axis=1)) for record in records])
-        / STANDARD_GRAVITY
-    )
-    rate_hz = records[0].sample_rate_hz
-    check_own_scale(
-        fit.gyro.model.scale_factor, gyro_unit, "rate", TOLERANCE, "motion, gyroscope", sample_rate_hz=rate_hz
-    )
-    check_own_scale(length, accel_unit, "accel", TOLERANCE, "motion, accelerometer")
+    lengths = [np.median(np.linalg.norm(np.asarray(record.accel), axis=1)) for record in records]
+    length, rate_hz = np.median(lengths) / STANDARD_GRAVITY, records[0].sample_rate_hz
+    check_own_scale(fit.gyro.model.scale_factor, gyro_unit, "rate", "motion, gyroscope", sample_rate_hz=rate_hz)
+    check_own_scale(length, accel_unit, "accel", "motion, accelerometer")
     return fit
 
 

@@ -26,7 +26,6 @@ x + K (m - x_M). Turns and moves share the slopes of the scale over temperature:
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Literal
 
 import numpy as np
 
@@ -34,7 +33,6 @@ from undrift.arrays import FloatArray
 from undrift.calibration.codes import limited_by_codes, mean_rounding
 from undrift.calibration.moves import matrix_of_moves
 from undrift.calibration.plausibility import (
-    SCALE_TOLERANCE,
     axis_vectors,
     check_axis_order,
     check_own_scale,
@@ -44,8 +42,18 @@ from undrift.calibration.plausibility import (
     nearest_signed_permutation,
 )
 from undrift.calibration.rate_table import axes_missing, check_reads_positive, first_table_matrix, table_prior
-from undrift.calibration.session import Observed, Outcome, spans_of
-from undrift.calibration.sources import Creep, creep_of, gyro_drift, in_case, offset_drift, slip_covariance, walks_of
+from undrift.calibration.session import Observed, spans_of
+from undrift.calibration.settings import Mode
+from undrift.calibration.sources import (
+    Creep,
+    creep_of,
+    gyro_drift,
+    in_case,
+    noise_and_codes,
+    offset_drift,
+    slip_covariance,
+    walks_of,
+)
 from undrift.calibration.triads import check_agreement
 from undrift.errors import Implausible, InputError, NotObservable, PoorFit
 from undrift.findings import Finding, finding
@@ -55,8 +63,6 @@ from undrift.fit.triad import TriadFit, TriadParameters, fit_of, inverse_jacobia
 from undrift.model import AXES, TriadModel, Verdict
 from undrift.record import Axis, Face, Record, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
-
-KnownRotationMode = Literal["paper", "affine"]
 
 CONTRADICTION = 27.9  # chi-square of nine terms that chance exceeds in one session of a thousand
 MIN_NOISE = 1e-12  # relative to the largest reading, the arithmetic error of a mean
@@ -122,12 +128,8 @@ def rotation_rows(
         elif finite.sum() > 1:
             weight = np.ones(int(finite.sum()))
             windows.append(gyro[finite])
-        elif piece.face is None:
-            continue
         else:
-            raise InputError(
-                f"known rotation: expected readings at rest on face {piece.face}, got {finite.sum()}. Choose another stretch."
-            )
+            continue  # a rest without readings
         weight = weight / weight.sum()
         pieces.append(piece)
         reading.append(weight @ gyro[finite])
@@ -188,10 +190,9 @@ def _sources(
     # all turns about the same axis have a common tilt, from a fixture or an edge
     leaning = np.einsum("ej,fj,jk->efk", rows.rate, rows.rate, 1.0 - np.eye(3))
     sources = {
-        "noise": in_case(matrix, own[:, :, None] * noise[:, None] ** 2),
+        **noise_and_codes(matrix, noise**2, code_groups[:, :, None] * rows.rounding**2),
         "angle": np.einsum("eij,ef->eifj", per_turn, own).reshape(2 * (rows.reading.size,)),
         "axis": axis_uncertainty**2 * in_case(np.eye(3), leaning),
-        "adc": in_case(matrix, code_groups[:, :, None] * rows.rounding**2),
     }
     if rows.span is not None:
         sources["instability"] = gyro_drift(rows.span)
@@ -204,7 +205,7 @@ def fit_known_rotation(
     rows: RotationRows,
     *,
     gravity: float,
-    mode: KnownRotationMode = "affine",
+    mode: Mode = "affine",
     angle_uncertainty: float = 0.0,
     axis_uncertainty: float = 0.0,
     cross_axis_prior: float = 0.01,
@@ -312,7 +313,7 @@ def _moves_disagree(sentence: str) -> Finding:
     return finding("known_rotation.moves_disagree", "warn", sentence, action)
 
 
-def _check_complete(rows: RotationRows, mode: KnownRotationMode) -> list[int]:
+def _check_complete(rows: RotationRows, mode: Mode) -> list[int]:
     """Return the axes of the turns. Raise if rests or turns are missing."""
     turn_axes = [k for k, axis in enumerate(AXES) if axis in rows.axis]
     if not turn_axes or not rows.faces:
@@ -349,7 +350,7 @@ def _check_turns(forward: FloatArray, rows: RotationRows, turn_axes: list[int]) 
             reversed=reversed_,
         )
     scale = np.linalg.norm(forward, axis=1)[turn_axes]
-    check_own_scale(scale, rows.unit, "rate", SCALE_TOLERANCE, "gyroscope turned by hand")
+    check_own_scale(scale, rows.unit, "rate", "gyroscope turned by hand")
 
 
 # ---- from a session
@@ -369,7 +370,7 @@ def _check_by_gravity(record: Record, gyro: TriadModel, accel: TriadModel) -> tu
         ) from error
 
 
-def calibrate_turns(observed: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
+def calibrate_turns(observed: Observed, mode: Mode, accel: TriadFit | None) -> TriadFit:
     """Fit the gyroscopes of a session to its turns by known angles."""
     records, settings = observed.session.records, observed.settings
     turns, findings = tuple(t for t in observed.session.turns if t.angle is not None), list[Finding]()
@@ -392,7 +393,7 @@ def calibrate_turns(observed: Observed, mode: str | None, accel: TriadFit | None
     fit = fit_known_rotation(
         rows,
         gravity=observed.session.gravity_m_s2,
-        mode="paper" if mode == "paper" else "affine",
+        mode=mode,
         angle_uncertainty=settings.angle_uncertainty_deg * RADIAN_PER_DEGREE,
         axis_uncertainty=settings.axis_uncertainty_deg * RADIAN_PER_DEGREE,
         cross_axis_prior=settings.cross_axis_prior,
@@ -403,4 +404,4 @@ def calibrate_turns(observed: Observed, mode: str | None, accel: TriadFit | None
         # Full turns bring gravity back for any axes. Moves reveal gyroscope axes that differ from those of the accelerometer.
         for record in records:
             findings += _check_by_gravity(record, fit.model, model)
-    return Outcome(fit=fit, method="known-rotation", findings=(*findings, *creep.findings()))
+    return replace(fit, verdict=fit.verdict.also(Verdict.of(*findings, *creep.findings())))

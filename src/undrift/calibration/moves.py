@@ -18,15 +18,17 @@ accelerometer. The hand adds an excess variance in rests, and another in moves.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
 from undrift.calibration.codes import code_steps, code_variance, limited_by_codes
-from undrift.calibration.norm import NAMES, QUADRATIC_SD, TOLERANCE, check_count, fit_norm, judged, misses_gravity
+from undrift.calibration.norm import NAMES, QUADRATIC_SD, check_count, fit_norm, judged, misses_gravity
 from undrift.calibration.plausibility import check_axis_order, check_own_scale, check_range, saturated, stuck_windows
-from undrift.calibration.session import Observed, Outcome
+from undrift.calibration.session import Observed
+from undrift.calibration.settings import Mode
 from undrift.calibration.sources import (
     Creep,
     creep_of,
@@ -239,8 +241,9 @@ class _Problem:
         windows = [slice(first, last + 1) for first, last in zip(moves.first, moves.last, strict=True)]
         # (J, 3, 3), covariance of the integral of each move by jitter of its time stamps, (raw unit s)^2
         self.slip = np.array([slip_covariance(moves.time[window], moves.gyro[window]) for window in windows])
-        self.creep = creep  # of accelerometers and gyroscopes in the stills
-        warmth = np.zeros(len(reading)) if creep is None else creep[1].warmth
+        steady = Creep(warmth=np.zeros(len(reading)), offset_per_k=0.0, scale_per_k=0.0)
+        self.creep = creep or (steady, steady)  # of accelerometers and gyroscopes in the stills
+        warmth = self.creep[1].warmth
         of_moves = 0.5 * (warmth[moves.before] + warmth[moves.before + 1])
         self.warmth = np.append(warmth[rests], of_moves)  # (R + J,), temperature minus the reference, K
 
@@ -392,35 +395,31 @@ def _sources(problem: _Problem, rows: _Rows, theta: FloatArray) -> dict[str, Flo
     from scipy.linalg import block_diag
 
     moves, (unit, accel_slopes, still_covariance), rests = problem.moves, problem.directions, problem.reading.size
+    accel_creep, gyro_creep = problem.creep
+    force, gain = STANDARD_GRAVITY * unit, problem.accel.scale_factor
+    columns = np.stack([accel_creep.columns(force[:, j], float(gain[j])) for j in range(3)], axis=1)  # (K, 3, 2)
+    directions = np.einsum("kaj,kjs->kajs", -accel_slopes[:, :, 9:], columns).reshape(-1, 6)
+    offsets = gyro_creep.offset_per_k * np.kron(problem.warmth[:, None], np.eye(3))
+    slopes = np.hstack((rows.by_still @ directions, rows.by_offset @ offsets, _scale_slopes(problem, rows, theta)))
     # (rad/s)^2, mean of the axes
     sample = float((theta[:9].reshape(3, 3) ** 2 @ (problem.noise + problem.codes)).mean())
     readings = np.repeat(sample * moves.duration_s**2 / (moves.last - moves.first), 2) + LEAST_ANGLE**2
     # each rest reads one rounding error, and motion turns rounding into noise
     rest_codes = np.zeros((len(rows.misfit), 3))
     rest_codes[:rests] = np.tile(problem.size * np.sqrt(problem.codes) * np.eye(3), (len(problem.reading), 1))
-    sources = {
+    return {
         "noise": carried(rows.by_still, block_diag(*still_covariance))
         + np.diag(np.append(problem.size**2 * problem.variance, readings)),
         "clock": carried(rows.by_integral, block_diag(*problem.slip)),
         "level": carried(rows.by_still @ accel_slopes.reshape(-1, 12), problem.accel.covariance[:12, :12]),
         "adc": rest_codes @ rest_codes.T,
         "instability": carried(rows.by_offset, np.kron(problem.flicker, np.eye(3))),
+        "temperature": slopes @ slopes.T,
     }
-    if problem.creep is not None:
-        accel, gyro = problem.creep
-        force, gain = STANDARD_GRAVITY * unit, problem.accel.scale_factor
-        columns = np.stack([accel.columns(force[:, j], float(gain[j])) for j in range(3)], axis=1)  # (K, 3, 2)
-        directions = np.einsum("kaj,kjs->kajs", -accel_slopes[:, :, 9:], columns).reshape(-1, 6)
-        offsets = gyro.offset_per_k * np.kron(problem.warmth[:, None], np.eye(3))
-        slopes = np.hstack((rows.by_still @ directions, rows.by_offset @ offsets, _scale_slopes(problem, rows, theta)))
-        sources["temperature"] = slopes @ slopes.T
-    return sources
 
 
 def _scale_slopes(problem: _Problem, rows: _Rows, theta: FloatArray) -> FloatArray:
     """Return the change of the rows (E, 3) if a sensor's scale slopes over temperature by one standard deviation."""
-    if problem.creep is None:
-        return np.zeros((len(rows.misfit), 3))
     count = len(problem.reading)
     warmth = np.append(np.zeros(problem.reading.size), np.repeat(problem.warmth[count:], 2))
     sensor_rows = (rows.design[:, :9] * theta[:9]).reshape(-1, 3, 3).sum(axis=1)
@@ -489,37 +488,26 @@ def _judge_triad(problem: _Problem, fit: GlsFit, rows: _Rows, unit_in: str) -> T
     names = {"method": "multi-position", "unit_in": unit_in, "unit_out": "rad/s"}
     triad = fit_of(parameters, (np.concatenate(inside) - offset) @ matrix.T, residuals, Verdict.of(*findings), **names)
     rate_hz = float(np.median((moves.last - moves.first) / moves.duration_s))
-    check_own_scale(triad.model.scale_factor, unit_in, "rate", TOLERANCE, "gyro", sample_rate_hz=rate_hz)
+    check_own_scale(triad.model.scale_factor, unit_in, "rate", "gyro", sample_rate_hz=rate_hz)
     return triad
 
 
 # ---- from a session
 
 
-def calibrate_poses(observed: Observed, mode: str | None, accel: TriadFit | None = None) -> Outcome:
+def calibrate_poses(observed: Observed, mode: Mode = "affine", accel: TriadFit | None = None) -> TriadFit:
     """Fit the accelerometer of a session to its free poses."""
-    stills = _sort_stills(observed)
+    session, prior, stills = observed.session, observed.settings.cross_axis_prior, observed.sorted_stills
     creep = creep_of(observed, stills, "accel")
-    fit = _fit_session_poses(observed, stills, creep)
-    return Outcome(fit=fit, method="multi-position", findings=creep.findings(), used=stills)
+    fit = fit_poses(session.records, stills, gravity=session.gravity_m_s2, cross_axis_prior=prior, creep=creep)
+    return replace(fit, verdict=fit.verdict.also(Verdict.of(*creep.findings())))
 
 
-def calibrate_moves(observed: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
+def calibrate_moves(observed: Observed, mode: Mode, accel: TriadFit | None) -> TriadFit:
     """Fit the gyroscopes of a session to the moves between its poses."""
     if observed.session.records[0].accel is None:
         raise NotObservable("multi-position gyro: moves need accelerometer readings. Map the accel columns.")
-    stills = _sort_stills(observed)
+    stills = observed.sorted_stills
     creep = creep_of(observed, stills, "accel"), creep_of(observed, stills, "gyro")
-    model = (accel or _fit_session_poses(observed, stills, creep[0])).model
-    fit = fit_moves(observed.session.records, stills, model, creep=creep)
-    return Outcome(fit=fit, method="multi-position", findings=creep[1].findings())
-
-
-def _fit_session_poses(observed: Observed, stills: Sequence[Still], creep: Creep) -> TriadFit:
-    session, prior = observed.session, observed.settings.cross_axis_prior
-    return fit_poses(session.records, stills, gravity=session.gravity_m_s2, cross_axis_prior=prior, creep=creep)
-
-
-def _sort_stills(observed: Observed) -> tuple[Still, ...]:
-    stills = observed.session.stills or observed.stills
-    return tuple(sorted(stills, key=lambda still: (still.recording, still.start)))
+    fit = fit_moves(observed.session.records, stills, (accel or calibrate_poses(observed)).model, creep=creep)
+    return replace(fit, verdict=fit.verdict.also(Verdict.of(*creep[1].findings())))

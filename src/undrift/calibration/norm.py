@@ -55,7 +55,6 @@ QUADRATIC_SD = 2e-4  # s_q, 1/(m/s2): MPU-6050, ICM-20948 and BMI160 state 0.5 %
 MOST_STEPS, CONVERGED, FARTHEST = 100, 1e-8, 30.0
 ONE_SIDED_95 = 1.6448536269514722  # normal quantile
 ROUNDING = 1e-9  # smallest deviation of a length, relative to gravity
-TOLERANCE = 0.25  # relative to the nominal sensitivity of the unit (raw parts are within 0.2)
 MG = STANDARD_GRAVITY * 1e-3
 RESIDUAL_MG = (3.0, 20.0)  # limits of a verdict: marginal above the first, bad above the second
 UNCERTAIN_MG = (2.0, 20.0)
@@ -166,7 +165,7 @@ def _sources(
     """Return the covariance of the lengths by source for a variance ``noise`` (K, 3) of the scaled readings."""
     reading_slopes = -design[:, 6:]  # d length / d reading = M'^T n
     sources = {"noise": (reading_slopes**2 * noise).sum(axis=1) + (ROUNDING * gravity) ** 2}
-    if creep is not None and not creep.none:
+    if creep is not None:
         drift_columns = np.hstack([reading_slopes[:, [j]] * creep.columns(d) for j, d in enumerate((v - p[6:]).T)])
         sources["temperature"] = drift_columns @ drift_columns.T
     return sources
@@ -268,7 +267,7 @@ def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
     )
     names = {"method": "multi-position", "unit_in": unit, "unit_out": "m/s2"}
     triad = fit_of(parameters, corrected, fit.residuals, Verdict.of(*_judged(fit, corrected)), **names)
-    check_own_scale(triad.model.scale_factor, unit, "accel", TOLERANCE, "accel")
+    check_own_scale(triad.model.scale_factor, unit, "accel", "accel")
     return replace(triad, model=replace(triad.model, rank=9 - len(fit.kept), condition=fit.condition))
 
 

@@ -14,7 +14,7 @@ from undrift.arrays import BoolArray, FloatArray
 from undrift.errors import Implausible
 from undrift.findings import Finding, Level, above, finding, told_apart
 from undrift.fit.priors import SCALE_LIMIT
-from undrift.io.inspect import STUCK, saturated_runs
+from undrift.io.inspect import saturated_runs
 from undrift.model import AXES
 from undrift.record import FACES, Face, Record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, is_physical, si_factor
@@ -107,21 +107,13 @@ NEAR_ZERO = 0.1  # relative to the largest reading: a level nearer to zero is th
 
 def end_readings(column: FloatArray) -> list[float]:
     """Return the readings at which a column (N,) sticks because the range ends."""
-    ends = [end.reduce(column) for end in (np.fmin, np.fmax)] if len(column) else []
-    if np.isfinite(ends).all() and not any(_sticks(column == end) for end in ends):
-        return []  # as in most windows
-    limits = [limit for limit, _ in saturated_runs(column)]
-    values, counts = np.unique(column[np.isfinite(column)], return_counts=True)
-    if len(values) > MANY_VALUES:  # most readings at one end, which ``saturated_runs`` considers the usual level
-        nonzero = np.abs(values) > NEAR_ZERO * np.abs(values[[0, -1]]).max()
-        limits += [float(values[k]) for k in (0, -1) if nonzero[k] and 2 * counts[k] > len(column)]
+    limits, finite = [limit for limit, _ in saturated_runs(column)], column[np.isfinite(column)]
+    ends = (float(finite.min()), float(finite.max())) if len(finite) else ()
+    for end in ends:  # most readings at one end, which ``saturated_runs`` considers the usual level
+        most = abs(end) > NEAR_ZERO * max(map(abs, ends)) and 2 * int((finite == end).sum()) > len(column)
+        if most and len(np.unique(finite)) > MANY_VALUES:
+            limits.append(end)
     return limits
-
-
-def _sticks(at_end: BoolArray) -> bool:
-    """Return True if readings are at an end several times in a row, or for most of the time."""
-    places, more = np.flatnonzero(at_end), STUCK - 1
-    return 2 * len(places) > len(at_end) or bool((places[more:] - places[:-more] == more).any())
 
 
 def stuck_windows(windows: Sequence[FloatArray]) -> BoolArray:
@@ -269,12 +261,11 @@ def check_own_scale(
     scale_factor: FloatArray | float,
     unit: str,
     quantity: Quantity,
-    tolerance: float,
     what: str,
     *,
     sample_rate_hz: float | None = None,
 ) -> None:
-    """Raise if a scale factor, reading per SI unit, scalar or (K,), is outside the tolerance of its nominal value.
+    """Raise if a scale factor, reading per SI unit, scalar or (K,), is beyond ``SCALE_TOLERANCE`` of its nominal value.
 
     Counts have no nominal value. A wrong sample rate scales angles, so fits that integrate turns pass the sample rate.
     """
@@ -282,17 +273,16 @@ def check_own_scale(
         return
     ratio = np.atleast_1d(np.asarray(scale_factor, float)) * si_factor(unit, quantity)
     worst = float(ratio[int(np.argmax(np.abs(ratio - 1.0)))])
-    if abs(worst - 1.0) > tolerance:
+    if abs(worst - 1.0) > SCALE_TOLERANCE:
         cause = _name_unit(worst, RATE_UNITS, 1.1) or _times(worst)
         if sample_rate_hz:
             cause += (
                 f", or the file has {sample_rate_hz * abs(worst):.3g} samples a second instead of {sample_rate_hz:.3g}"
             )
         raise Implausible(
-            f"{what}: expected a scale factor within {100 * tolerance:g} % of its nominal value, got {worst:.4f} of it "
+            f"{what}: expected a scale factor within {100 * SCALE_TOLERANCE:g} % of its nominal value, got {worst:.4f} of it "
             f"({100 * (worst - 1.0):+.1f} %): {cause}. Check the unit, the range setting and the sample rate.",
             ratio=worst,
-            tolerance=tolerance,
         )
 
 

@@ -26,7 +26,7 @@ from undrift.calibration.plausibility import stuck_windows
 from undrift.errors import Implausible, InputError
 from undrift.findings import Finding, Level, finding, told_apart
 from undrift.model import AXES, TriadModel
-from undrift.record import Session, Still, Turn
+from undrift.record import Record, Session, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
 ACCEL_SWAY = 0.05  # m/s2: a steady tilt by 1 deg from start to end
@@ -154,6 +154,7 @@ def check_counted_once(session: Session) -> None:
 # ---- turns
 
 MIN_NOISES = 8.0  # the 90 % quantile in white noises of r, below which a turn is not judged
+MOST_SETTLING = 0.5  # largest share of a dwell that is omitted
 CUT_OFF_SHARE = 0.5  # share of the quantile at the start or end of a turn from which it is cut off
 SPREAD_LIMITS, EDGE_LIMITS = (0.05, 0.23), (0.2, CUT_OFF_SHARE)  # warn and fail above them
 
@@ -181,21 +182,28 @@ def check_turns(session: Session, stills: tuple[Still, ...], settle_s: float) ->
         yield _piece_differs(level, name, len(faults), what, percent=100.0 * share)
 
 
-def settling(length: int, settle_s: float, rate_hz: float) -> int:
-    """Return the number of samples omitted at the start of a dwell, at most half of its samples."""
-    return min(round(settle_s * rate_hz), length // 2)
+def steady(record: Record, turn: Turn, settle_s: float) -> slice:
+    """Return the samples of a turn that count: of a dwell without its start, and whole turns if possible."""
+    if not turn.turn_rate:
+        return slice(turn.start, turn.stop)
+    time = record.time[turn.start : turn.stop]
+    length_s, period_s = float(time[-1] - time[0]), 2.0 * np.pi / abs(turn.turn_rate)
+    start_s = float(time[0]) + min(settle_s, MOST_SETTLING * length_s)
+    turns = int((time[-1] - start_s) / period_s)
+    begin = int(np.searchsorted(time, start_s))
+    stop = int(np.searchsorted(time, start_s + turns * period_s)) if turns else len(time)
+    return slice(turn.start + begin, turn.start + stop)
 
 
-def _discard_settling(session: Session, turn: Turn, settle_s: float) -> FloatArray:
-    """Return the gyroscope readings (n, 3) of a turn without the settling of a dwell, or an empty array without gyroscopes."""
+def _steady_rate(session: Session, turn: Turn, settle_s: float) -> FloatArray:
+    """Return the gyroscope readings (n, 3) of a turn that count, or an empty array without gyroscopes."""
     record = session.records[turn.recording]
-    skip = 0 if turn.turn_rate is None else settling(turn.stop - turn.start, settle_s, record.sample_rate_hz)
-    return np.zeros((0, 3)) if record.gyro is None else record.gyro[turn.start + skip : turn.stop]
+    return np.zeros((0, 3)) if record.gyro is None else record.gyro[steady(record, turn, settle_s)]
 
 
 def saturated_turns(session: Session, settle_s: float) -> tuple[int, ...]:
     """Return the numbers of the turns in which a gyroscope sticks at the end of its range."""
-    windows = [_discard_settling(session, turn, settle_s) for turn in session.turns]
+    windows = [_steady_rate(session, turn, settle_s) for turn in session.turns]
     return tuple(number for number, window in enumerate(windows) if len(window) and stuck_windows([window])[0])
 
 
@@ -213,7 +221,7 @@ def _smooth_rate(session: Session, stills: tuple[Still, ...], turn: Turn, settle
             "is dead, or another column is mapped. Check the map and the device."
         )
     width = max(1, round(SMOOTH_S * record.sample_rate_hz))
-    readings = _discard_settling(session, turn, settle_s)[:, axis]
+    readings = _steady_rate(session, turn, settle_s)[:, axis]
     if not rests or len(readings) < 2 * width or np.isnan(readings).any():
         return np.empty(0)
     rate = np.convolve(readings, np.full(width, 1.0 / width), mode="valid")

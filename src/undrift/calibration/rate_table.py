@@ -29,25 +29,15 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.codes import limited_by_codes, rounding_correlation
-from undrift.calibration.plausibility import (
-    SCALE_TOLERANCE,
-    check_axis_order,
-    check_own_scale,
-    face_vectors,
-)
-from undrift.calibration.session import Observed, Outcome, spans_of, with_offset
+from undrift.calibration.plausibility import check_axis_order, check_own_scale, face_vectors
+from undrift.calibration.session import Observed, spans_of, with_offset
 from undrift.calibration.settings import Mode
-from undrift.calibration.sources import Creep, creep_of, gyro_drift, in_case, offset_drift, uncertain, walks_of
+from undrift.calibration.sources import Creep, creep_of, gyro_drift, noise_and_codes, offset_drift, uncertain, walks_of
 from undrift.calibration.table import DwellMeans, dwell_means, imposed_rates, mountings, table_axes
 from undrift.errors import Implausible, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.gls import GlsFit, Prior, block_size, fit_huber, noise_of_means, solve_inverse
-from undrift.fit.priors import (
-    G_SENSITIVITY,
-    SCALE_FACTOR,
-    SCALE_FACTOR_IN_COUNTS,
-    UNCERTAIN_PERCENT,
-)
+from undrift.fit.priors import G_SENSITIVITY, SCALE_FACTOR, SCALE_FACTOR_IN_COUNTS, UNCERTAIN_PERCENT
 from undrift.fit.triad import TriadFit, fit_of, fit_paper, parameters_of
 from undrift.model import AXES, TriadModel, Verdict
 from undrift.record import Still, Turn
@@ -66,7 +56,6 @@ def fit_rate_table(
     *,
     mode: Mode = "affine",
     latitude_deg: float | None = None,
-    scale_tolerance: float = SCALE_TOLERANCE,
     cross_axis_prior: float = 0.01,
     creep: Creep | None = None,
 ) -> TriadFit:
@@ -75,7 +64,7 @@ def fit_rate_table(
     Residuals are corrected minus true rates, rad/s. For an axis that the table did not turn, the column keeps the nominal scale
     factor, with cross-axis terms of ``cross_axis_prior``.
     """
-    turn_axes, rates = _check_turn_axes(dwells, scale_tolerance), imposed_rates(dwells, latitude_deg)
+    turn_axes, rates = _check_turn_axes(dwells), imposed_rates(dwells, latitude_deg)
     if mode == "paper" and len(turn_axes) < 3:
         missing_axes = ", ".join(axis for k, axis in enumerate(AXES) if k not in turn_axes)
         raise NotObservable(
@@ -95,11 +84,11 @@ def fit_rate_table(
         parameters = parameters_of(gls, with_g=dwells.felt)
         fit = fit_of(parameters, rates, -gls.residuals.reshape(-1, 3), **names)
         fit = replace(fit, verdict=Verdict.of(*_findings(fit.model, gls, dwells)))
-    check_own_scale(fit.model.scale_factor, dwells.unit, "rate", scale_tolerance, "gyroscope")
+    check_own_scale(fit.model.scale_factor, dwells.unit, "rate", "gyroscope")
     return fit
 
 
-def _check_turn_axes(dwells: DwellMeans, scale_tolerance: float) -> list[int]:
+def _check_turn_axes(dwells: DwellMeans) -> list[int]:
     """Return the axes that the table turned at two rates or more. Raise if an axis has the wrong order, sign or scale."""
     turn_axes = list[int]()
     for k, axis in enumerate(AXES):
@@ -110,7 +99,7 @@ def _check_turn_axes(dwells: DwellMeans, scale_tolerance: float) -> list[int]:
         if len({*dwells.axis} - {None}) < 3:  # with three axes the whole matrix reveals exchanged columns
             slope = np.polyfit(dwells.turn_rate[rows], dwells.reading[rows], 1)[0]
             check_reads_positive(slope, k)
-            check_own_scale(slope[k], dwells.unit, "rate", scale_tolerance, f"gyroscope {axis}")
+            check_own_scale(slope[k], dwells.unit, "rate", f"gyroscope {axis}")
     if not turn_axes:
         raise NotObservable(NO_TURNS)
     return turn_axes
@@ -166,10 +155,7 @@ def _sources(dwells: DwellMeans, rates: FloatArray, matrix: FloatArray) -> dict[
     noise = np.zeros_like(dwells.reading) if dwells.noise is None else dwells.noise**2
     codes = np.minimum(dwells.codes, noise)
     rounding = np.sqrt(codes[:, None] * codes) * _shared_rounding(dwells, rates, matrix, codes)
-    sources = {
-        "noise": in_case(matrix, np.eye(count)[:, :, None] * np.maximum(noise - codes, floor)[:, None]),
-        "adc": in_case(matrix, rounding),
-    }
+    sources = noise_and_codes(matrix, np.maximum(noise - codes, floor), rounding)
     if dwells.span is not None:
         sources["instability"] = gyro_drift(dwells.span)
     if axes is not None:
@@ -281,7 +267,7 @@ def check_dwells(dwells: DwellMeans, rates: FloatArray, numbers: Sequence[int]) 
 # ---- from a session
 
 
-def calibrate_rates(observed: Observed, mode: str | None, accel: TriadFit | None) -> Outcome:
+def calibrate_rates(observed: Observed, mode: Mode, accel: TriadFit | None) -> TriadFit:
     """Fit the gyroscopes of a session to its turns at known rates."""
     session, settings = observed.session, observed.settings
     turns = [turn for turn in session.turns if turn.axis is not None and turn.turn_rate is not None]
@@ -304,26 +290,26 @@ def calibrate_rates(observed: Observed, mode: str | None, accel: TriadFit | None
     with_rests, rests = _join_rests(dwells, observed, turns, model)
     numbers = [k for k, turn in enumerate(session.turns, 1) if turn in turns]
     check_dwells(with_rests, imposed_rates(with_rests, settings.latitude_deg), numbers)
-    paper, offset = mode == "paper" and len(turn_axes) == 3, None
-    if paper:
+    offset = None
+    if mode == "paper":
         offset, variance = observed.rest_rate()
         if np.isnan(offset).any():
             offset = np.asarray(dwells.reading.mean(axis=0))  # both signs of every rate cancel
             variance = np.full(3, np.nan) if dwells.noise is None else (dwells.noise**2).mean(axis=0) / len(dwells.axis)
-    pieces: list[Still | Turn] = [*turns, *(() if paper else rests)]
+    pieces: list[Still | Turn] = [*turns, *(() if mode == "paper" else rests)]
     creep = creep_of(observed, pieces, "gyro")
     findings = creep.findings()
     if len(turn_axes) < 3:
         findings = (*findings, axes_missing(turn_axes, dwells.unit, settings.cross_axis_prior))
     fit = fit_rate_table(
         with_rests if offset is None else replace(dwells, reading=dwells.reading - offset),
-        mode="paper" if paper else "affine",
+        mode=mode,
         latitude_deg=settings.latitude_deg,
         cross_axis_prior=settings.cross_axis_prior,
         creep=creep,
     )
     fit = fit if offset is None else with_offset(fit, offset, variance)
-    return Outcome(fit=fit, method="rate-table", findings=findings)
+    return replace(fit, verdict=fit.verdict.also(Verdict.of(*findings)))
 
 
 def _join_rests(

@@ -26,6 +26,7 @@ import undrift.sync as sync
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.plausibility import without_saturated
 from undrift.calibration.reference_windows import STRIDE_S, Recording, Solution, Windows, solve, window_equations
+from undrift.calibration.sources import uncertain
 from undrift.errors import AlignmentError, Implausible, InputError, NotObservable, check_choice
 from undrift.findings import Finding, finding, told_apart
 from undrift.fit.triad import TriadFit, triad_fit
@@ -163,7 +164,11 @@ MATRIX_DIFFERENCE = 0.05  # relative difference between the matrices of single r
 START_RIDGE = 1e-3  # weight of the nominal matrix at the start, as a share of the largest power of the rates
 USUAL_RESIDUAL = 5e-3  # rad, of a window, before the first solution
 WINDOWS_S = (2.0, 4.0, 8.0, 16.0, 16.0, 16.0)  # of the fits: over 2 s errors of raw readings stay below 0.5 rad
-WANTED_MATRIX, WANTED_REST_DPS = 2e-3, 0.03  # relative uncertainty of M, and spread of the rest offsets
+WANTED_PERCENT, WANTED_REST_DPS = (
+    (0.2, np.inf),
+    0.03,
+)  # limits of the uncertainty of M and of the spread of the rest offsets
+RECORD_LONGER = "Record longer: turn about every axis, and rest on all six sides of the device."
 
 
 def fit_reference(
@@ -440,8 +445,8 @@ def _findings(model: TriadModel, nominal: FloatArray, rests: Sequence[FloatArray
         axes = tuple(axis for axis, keeps in zip("xyz", near_prior, strict=True) if keeps)
         advice = "Also record turns about these axes of the device."
         yield scale_keeps_prior("gyroscope", axes, MATRIX_PRIOR, advice)
-    elif spread.max() > WANTED_MATRIX:
-        yield matrix_uncertain("gyroscope", float(spread.max()), WANTED_MATRIX)
+    else:
+        yield from uncertain("The gyroscope matrix", 100.0 * float(spread.max()), WANTED_PERCENT, "%", RECORD_LONGER)
     spread_dps = float(np.std(rests, axis=0, ddof=1).max() * size / RADIAN_PER_DEGREE) if len(rests) > 1 else 0.0
     if spread_dps > WANTED_REST_DPS:
         spread_text = told_apart(spread_dps, ".3f", WANTED_REST_DPS)
@@ -459,14 +464,3 @@ def scale_keeps_prior(triad: str, axes: tuple[str, ...], uncertainty: float, act
     percent = f"{100.0 * uncertainty:.2g} %"
     sentence = f"The motion does not determine the scale of the {triad} for {', '.join(axes)}: +- {percent} (1 sigma) is assumed."
     return finding("motion.prior", "warn", sentence, action, axes=axes)
-
-
-def matrix_uncertain(triad: str, uncertainty: float, limit: float) -> Finding:
-    """Return a finding about a matrix whose largest relative uncertainty exceeds its limit."""
-    percent = told_apart(100.0 * uncertainty, ".2g", 100.0 * limit)
-    return finding(
-        "reference.uncertainty",
-        "warn",
-        f"The matrix of the {triad} is uncertain by {percent} % in its largest element (1 sigma, limit {100.0 * limit:g} %).",
-        "Record longer: turn about every axis, and rest on all six sides of the device.",
-    )

@@ -16,10 +16,10 @@ from undrift.arrays import FloatArray
 from undrift.calibration.codes import limited_by_codes, mean_rounding
 from undrift.calibration.plausibility import without_saturated
 from undrift.calibration.quality import whole_readings
-from undrift.calibration.reference import matrix_uncertain
+from undrift.calibration.reference import RECORD_LONGER
 from undrift.calibration.session import Observed, spans_of
 from undrift.calibration.settings import CalibrateSettings
-from undrift.calibration.sources import creep_of, flicker_about_mean, in_case
+from undrift.calibration.sources import creep_of, flicker_about_mean, noise_and_codes, uncertain
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Verdict
 from undrift.fit.gls import block_size, noise_of_means, solve_inverse
@@ -36,7 +36,7 @@ MIN_RESTS = 6  # number of rests from which the residuals determine the tilt of 
 NOMINAL_SCALE, NOMINAL_OFFSET = 0.05, 0.5  # accelerometers without a fit: relative scale, offset in m/s2. Assumed.
 MAX_CONDITION = 20.0  # largest condition number of the attitudes and a constant (2 for six faces)
 MIN_NOISE = 1e-9  # relative to the largest reading, the arithmetic error of a mean
-WANTED = 0.005  # relative uncertainty of the matrix
+WANTED_PERCENT = (0.5, np.inf)  # limits of the uncertainty of the matrix
 TURNED_ABOVE = 5.0 * RADIAN_PER_DEGREE  # smallest angle of gyroscopes on the body of the reference
 
 
@@ -113,9 +113,8 @@ def fit_reference_accel(
     fitted = fit_of(parameters_of(fit), force, residuals, method="reference", unit_in=unit, unit_out="m/s2")
     noise, codes = (np.diag(sources[name]).reshape(-1, 3).mean(axis=0) for name in ("noise", "adc"))
     findings = [*limited_by_codes("accelerometer", codes, noise + codes, "m/s2")]
-    uncertainty = float((fitted.model.standard_uncertainty[:9] / np.linalg.norm(fitted.model.matrix, 2)).max())
-    if uncertainty > WANTED:
-        findings.append(matrix_uncertain("accelerometer", uncertainty, WANTED))
+    percent = 100.0 * float((fitted.model.standard_uncertainty[:9] / np.linalg.norm(fitted.model.matrix, 2)).max())
+    findings += uncertain("The accelerometer matrix", percent, WANTED_PERCENT, "%", RECORD_LONGER)
     return replace(fitted, verdict=Verdict.of(*findings))
 
 
@@ -134,10 +133,7 @@ def _sources(
     if temps_c:
         warmer_k = observed.mean_temperature() - np.mean([np.nanmean(temp_c) for temp_c in temps_c])
         creep = replace(creep, warmth=creep.warmth + warmer_k)
-    identity = np.eye(len(stills))[:, :, None]
-    return {
-        "noise": in_case(matrix, identity * noise[:, None] ** 2),
-        "adc": in_case(matrix, identity * np.broadcast_to(codes**2, noise.shape)[:, None]),
+    return noise_and_codes(matrix, noise**2, codes**2) | {
         "instability": np.kron(ACCEL_FLICKER**2 * flicker_about_mean(spans_of(records, stills)), np.eye(3)),
         "temperature": creep.covariance_in_case(force),
     }

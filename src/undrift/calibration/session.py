@@ -1,8 +1,7 @@
-"""Contents of a session before a fit: rests, faces, turns and temperature. ``Outcome`` is the result of every fit.
+"""Contents of a session before a fit: rests, faces, turns and temperature.
 
 ``observe`` uses the given stills of a session, or detects and labels them, and checks them (quality.py). ``at_one_temperature``
-selects the pieces of one set-point, because a constant matrix applies at one temperature only. ``Outcome`` is the result of fitting
-a triad, for ``calibrate``.
+selects the pieces of one set-point, because a constant matrix applies at one temperature only.
 """
 
 from collections.abc import Sequence
@@ -148,6 +147,11 @@ class Observed:
     def faced(self) -> tuple[Still, ...]:
         """Stills with a face."""
         return tuple(still for still in self.stills if still.face is not None)
+
+    @property
+    def sorted_stills(self) -> tuple[Still, ...]:
+        """Stills in order of time."""
+        return tuple(sorted(self.stills, key=lambda still: (still.recording, still.start)))
 
     @property
     def mostly_faces(self) -> bool:
@@ -322,23 +326,6 @@ def labelled(session: Session, stills: tuple[Still, ...]) -> tuple[Still, ...]:
     means = [mean_reading(session.records[s.recording].accel, s.start, s.stop) for s in with_force]
     faces = dict(zip(with_force, segments.faces_of(np.array(means), centred=physical), strict=True))
     return tuple(replace(still, face=faces.get(still)) for still in stills)
-
-
-# ---- what a fit of one triad returns
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Outcome:
-    """Fit of a triad with its method and further findings. Without a fit, the findings contain the reason."""
-
-    fit: TriadFit | None = None
-    method: str = "none"
-    findings: tuple[Finding, ...] = ()
-    used: tuple[Still, ...] = ()  # stills behind the fit, for an accelerometer
-
-    def after(self, *findings: Finding) -> "Outcome":
-        """Return the same outcome with findings inserted before its own findings."""
-        return replace(self, findings=(*findings, *self.findings))
 
 
 def with_offset(fit: TriadFit, offset: FloatArray, variance: FloatArray) -> TriadFit:

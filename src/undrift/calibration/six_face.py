@@ -25,7 +25,6 @@ import numpy as np
 from undrift.arrays import FloatArray, IntArray
 from undrift.calibration.codes import limited_by_codes, mean_rounding
 from undrift.calibration.plausibility import (
-    SCALE_TOLERANCE,
     check_faces,
     check_gravity,
     check_own_scale,
@@ -34,13 +33,13 @@ from undrift.calibration.plausibility import (
     missing_faces,
 )
 from undrift.calibration.quality import whole_readings
-from undrift.calibration.session import Observed, Outcome, spans_of, with_offset
+from undrift.calibration.session import Observed, spans_of, with_offset
 from undrift.calibration.settings import Mode
-from undrift.calibration.sources import Creep, creep_of, flicker_about_mean, in_case
+from undrift.calibration.sources import Creep, creep_of, flicker_about_mean, noise_and_codes
 from undrift.calibration.table import mountings
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
-from undrift.fit.gls import GlsFit, block_size, noise_of_means, solve_inverse
+from undrift.fit.gls import GlsFit, block_size, carried, noise_of_means, solve_inverse, student_factor
 from undrift.fit.priors import ACCEL_FLICKER
 from undrift.fit.triad import TriadFit, first_matrix, fit_of, fit_paper, parameters_of
 from undrift.model import Verdict
@@ -98,14 +97,11 @@ def solve_faces(poses: FaceMeans, gravity: float, mode: Mode = "affine") -> GlsF
     """Return the fit of M and c, and the covariances of its rows, (m/s2)^2. Its excess ``level`` is the variance of the tilt."""
     _check(poses, gravity, mode)
     up = face_vectors(poses.faces)
-    inputs, identity = gravity * up, np.eye(len(up))[:, :, None]
+    inputs = gravity * up
     matrix, floor = first_matrix(inputs, poses.reading), MIN_NOISE * float(np.abs(poses.reading).max())
     noise = np.zeros(poses.reading.shape) if poses.noise is None else poses.noise
     rounding = np.minimum(np.zeros(3) if poses.rounding is None else poses.rounding, noise)
-    sources = {
-        "noise": in_case(matrix, identity * np.maximum(noise**2 - rounding**2, floor**2)[:, None]),
-        "adc": in_case(matrix, identity * np.broadcast_to(rounding**2, noise.shape)[:, None]),
-    }
+    sources = noise_and_codes(matrix, np.maximum(noise**2 - rounding**2, floor**2), rounding**2)
     if poses.creep is not None:
         sources["temperature"] = poses.creep.covariance_in_case(inputs)
     if poses.flicker is not None:
@@ -119,7 +115,11 @@ def solve_faces(poses: FaceMeans, gravity: float, mode: Mode = "affine") -> GlsF
     across = gravity * np.sqrt(1.0 - up.ravel() ** 2)
     shape = np.kron(placement[:, None] == placement, np.eye(3)) * np.outer(across, across)
     fit = solve_inverse(poses.reading, inputs, None, matrix, sources, excess={"level": shape})
-    return fit.widened("level", np.diag((fit.excess_bound("level") * np.abs(inputs.ravel())) ** 2))
+    tilt_variance = fit.excess["level"] * student_factor(fit.freedom["level"])
+    cosine = np.diag((tilt_variance * inputs.ravel()) ** 2)
+    budget = {**fit.budget, "level": fit.budget["level"] + carried(fit.gains, cosine)}
+    sources = {**fit.sources, "level": fit.sources["level"] + cosine}
+    return replace(fit, sources=sources, budget=budget, covariance=np.sum([*budget.values()], axis=0))
 
 
 def face_means(
@@ -186,7 +186,7 @@ def _check(poses: FaceMeans, gravity: float, mode: Mode) -> None:
 # ---- from a session
 
 
-def calibrate_faces(observed: Observed, mode: str | None, accel: TriadFit | None = None) -> Outcome:
+def calibrate_faces(observed: Observed, mode: Mode, accel: TriadFit | None = None) -> TriadFit:
     """Fit the accelerometer of a session to its faces."""
     settings, gravity = observed.settings, observed.session.gravity_m_s2
     paper, offset = mode == "paper", None
@@ -208,11 +208,11 @@ def calibrate_faces(observed: Observed, mode: str | None, accel: TriadFit | None
         mean = np.kron(share, np.linalg.inv(rows.theta[:9].reshape(3, 3)))
         variance, offset = np.diag(mean @ np.sum([*rows.sources.values()], axis=0) @ mean.T), share @ poses.reading
         poses = replace(poses, reading=poses.reading - offset)
-    fit = fit_six_face(poses, gravity=gravity, mode="paper" if paper else "affine")
-    check_own_scale(fit.model.scale_factor, poses.unit, "accel", SCALE_TOLERANCE, "accelerometer")
+    fit = fit_six_face(poses, gravity=gravity, mode=mode)
+    check_own_scale(fit.model.scale_factor, poses.unit, "accel", "accelerometer")
     if offset is not None:
         fit = with_offset(fit, offset, variance)
-    return Outcome(fit=fit, method="six-face", findings=findings, used=observed.faced)
+    return replace(fit, verdict=fit.verdict.also(Verdict.of(*findings)))
 
 
 def _placements(observed: Observed) -> tuple[tuple[Still, ...], IntArray]:

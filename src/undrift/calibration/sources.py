@@ -45,6 +45,16 @@ def in_case(matrix: FloatArray, covariance: FloatArray) -> FloatArray:
     return np.asarray(carried.reshape(3 * count, 3 * count))
 
 
+def noise_and_codes(matrix: FloatArray, noise: FloatArray, codes: FloatArray) -> dict[str, FloatArray]:
+    """Return the covariances (3 E, 3 E) of means by noise and by codes, for the variances (E, 3) of each sensor.
+
+    ``codes`` is (E, E, 3) if the rounding errors of the means are correlated.
+    """
+    identity = np.eye(len(noise))[:, :, None]
+    covariance = codes if codes.ndim == 3 else identity * np.broadcast_to(codes, noise.shape)[:, None]
+    return {"noise": in_case(matrix, identity * noise[:, None]), "adc": in_case(matrix, covariance)}
+
+
 def flicker_of_means(span: FloatArray) -> FloatArray:
     """Return F of means over stretches (E, 2), s, which may overlap."""
     start, stop = span[:, 0], np.maximum(span[:, 1], span[:, 0] + 1e-3)
@@ -160,11 +170,6 @@ class Creep:
         """Return their covariance (3 P, 3 P)."""
         columns = self.columns_in_case(value)
         return np.asarray(columns @ columns.T)
-
-    @property
-    def none(self) -> bool:
-        """True if no piece is off the reference temperature."""
-        return not self.warmth.any()
 
     def findings(self) -> tuple[Finding, ...]:
         """Return a finding if the span is above the limit."""

@@ -15,6 +15,7 @@ import numpy as np
 from undrift.arrays import FloatArray, IntArray
 from undrift.calibration.codes import code_steps, code_variance, mean_rounding, scatter_of_readings
 from undrift.calibration.plausibility import check_range
+from undrift.calibration.quality import steady
 from undrift.calibration.session import spans_of
 from undrift.errors import InputError
 from undrift.fit.gls import Prior, block_size, noise_of_means, solve
@@ -23,7 +24,6 @@ from undrift.model import AXES, TriadModel
 from undrift.record import Axis, Face, RateTable, Record, Still, Turn
 from undrift.units import EARTH_RATE, RADIAN_PER_DEGREE
 
-MOST_SETTLING = 0.5  # largest share of a dwell
 LEAST_SAMPLES = 8
 WHOLE_TURN = 0.01  # mean ripple of a dwell, as a share of its amplitude: below it the dwell contains whole turns
 FILTER_S = 0.3  # settling time of a second-order filter at 11 Hz to 1e-6, which gravity means omit at a dwell's start
@@ -119,18 +119,6 @@ def dwell_means(
         step=step,
         codes=codes,
     )
-
-
-def steady(record: Record, turn: Turn, settle_s: float) -> slice:
-    """Return the samples of a dwell that are averaged: without its start, and whole turns if possible."""
-    time = record.time[turn.start : turn.stop]
-    length_s = float(time[-1] - time[0])
-    start_s = float(time[0]) + min(settle_s, MOST_SETTLING * length_s)
-    period_s = 2.0 * np.pi / abs(turn.turn_rate) if turn.turn_rate else np.inf
-    turns = int((time[-1] - start_s) / period_s)
-    begin = int(np.searchsorted(time, start_s))
-    stop = int(np.searchsorted(time, start_s + turns * period_s)) if turns else len(time)
-    return slice(turn.start + begin, turn.start + stop)
 
 
 def spline_filter(time: FloatArray, values: FloatArray, cutoff_hz: float) -> FloatArray:

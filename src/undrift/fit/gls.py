@@ -26,7 +26,7 @@ zero. With M_0 and H of the previous step, it is the prior of G - (M - M_0) H.
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -65,16 +65,6 @@ class GlsFit:
     residuals: FloatArray  # (E,), y - X theta
     gains: FloatArray  # (P, E), d theta / d y
     sources: Mapping[str, FloatArray]  # covariance (E, E) of the rows by source, with the excess of its kind, widened
-
-    def widened(self, source: str, covariance: FloatArray) -> "GlsFit":
-        """Return the same fit with additional covariance (E, E) of the rows in a source."""
-        sources = {**self.sources, source: self.sources[source] + covariance}
-        budget = {**self.budget, source: self.budget[source] + carried(self.gains, covariance)}
-        return replace(self, sources=sources, budget=budget, covariance=np.sum([*budget.values()], axis=0))
-
-    def excess_bound(self, kind: str) -> float:
-        """Return the excess variance of a kind, widened for its degrees of freedom."""
-        return self.excess[kind] * student_factor(self.freedom[kind])
 
 
 @contextmanager

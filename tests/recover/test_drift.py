@@ -1,4 +1,4 @@
-"""Offset over temperature of simulated devices: does the table find it, and do its intervals hold it?"""
+"""Thermal tables of simulated devices: the truth is found, and the intervals hold it."""
 
 from dataclasses import replace
 from functools import cache
@@ -6,16 +6,27 @@ from functools import cache
 import numpy as np
 import pytest
 
-from testkit.cohorts import ratio_limit, share_limits
+from testkit.cohorts import share_limits
 from testkit.data import show
+from testkit.rate_steps import GRID, SOAKS, computed, reading
 from testkit.simulated_device import motion_of
 from undrift.drift.observe import observe_rests
 from undrift.drift.offset import StaticSettings, fit_static
+from undrift.drift.rates import DynamicFit, fit_dynamic, fit_scale, prepared
+from undrift.drift.temperature import (
+    estimate_lag,
+    trusted_temperature,
+)
 from undrift.record import Record, Session, Still
-from undrift.sim.device.presets import random_device
+from undrift.sim.device.effects import Thermometer
+from undrift.sim.device.model import DeviceModel
+from undrift.sim.device.presets import preset, random_device
 from undrift.sim.device.simulate import simulate_device
-from undrift.sim.device.truth import true_calibration
-from undrift.units import RADIAN_PER_DEGREE
+from undrift.sim.device.truth import true_calibration, true_tables
+from undrift.sim.motion.motion import Motion
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+
+# ---- Offset over temperature of simulated devices: does the table find it, and do its intervals hold it?
 
 UP = (*np.arange(18.0, 75.0, 5.0), 75.0)
 UP_DOWN = (*UP, *UP[-2::-1])
@@ -96,57 +107,9 @@ def test_intervals_of_the_nodes_hold_the_truth_of_many_axes(devices):
     assert error < 6.0  # the wander of the offset in a run alone is 7: B sqrt(11 ln(sqrt(10)) / pi)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("devices", [25, 100])
-@pytest.mark.parametrize(
-    ("kind", "low", "high", "widest"),
-    [("enc03j_3031", 18.0, 75.0, 2.0), ("enc03j_3031", 20.0, 40.0, 1.5), ("icm20948", 18.0, 75.0, 2.0)],
-)
-def test_five_set_points_hold_between_them(kind, low, high, widest, devices):
-    # Devices of three axes, at nodes a quarter of a step or more from any set-point. Without the parabola the stated
-    # uncertainty was four times the error over 18 to 75 degC (ENC-03J), and the error itself three times what it is now.
-    points, error, stated = np.linspace(low, high, 5), [], []
-    between, _ = share_limits(4 * 3 * devices)  # an axis has four independent places between five set-points
-    nodes = np.linspace(low, high, 25)
-    far = np.abs(nodes[:, None] - points).min(axis=1) > 0.25 * (points[1] - points[0])
-    for seed in range(devices):
-        fit, truth, _, per_dps = fitted(seed, tuple(points), kind=kind, nodes=tuple(nodes))
-        error.append(((fit.table.gyro_offset - truth) / per_dps)[far])
-        stated.append((fit.gyro.curve_uncertainty / per_dps)[far])
-    inside = float(np.mean(np.abs(error) <= 1.96 * np.array(stated)))
-    rms, u = (1e3 * float(np.sqrt(np.mean(np.square(x)))) for x in (error, stated))
-    show(f"{kind}, five set-points {low:g} to {high:g} degC, nodes between: inside", f"{inside:.3f}", between)
-    show("root-mean-square error and stated uncertainty, mdeg/s", f"{rms:.1f}, {u:.1f}, ratio {u / rms:.2f}", widest)
-    assert inside >= between
-    assert u < widest * rms * ratio_limit(4 * 3 * devices)
-
-
 # Widest: stated uncertainty over error, both root-mean-square over 8 devices. 1 would be right. A loop seen both ways counts
 # by half its size, 45 mdeg/s, although the truth here is its very middle: a device in use lies anywhere between, where the error
 # is larger. With a warm-up too the same half counts, so the same limit stands.
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("points", "effects", "least", "widest"),
-    [
-        (UP, {"adc": True}, 0.90, 1.5),
-        (UP_DOWN, {"hysteresis": True}, 0.93, 20.0),
-        (UP_DOWN, {"hysteresis": True, "warm_up": True}, 0.93, 20.0),
-        (UP, {"hysteresis": True}, 0.0, 0.5),
-        (UP, {"warm_up": True}, 0.0, 0.7),
-    ],
-)
-def test_intervals_with_other_effects_are_reported(points, effects, least, widest):
-    # Steps of the converter and a loop seen both ways are in the interval; a loop seen one way and a young device are not.
-    inside, error, stated = coverage(8, points, **effects)
-    way = "going up" if points is UP else "up and down"
-    show(
-        f"{way}, {', '.join(effects)}: inside, error, stated", f"{inside:.3f}, {error:.1f}, {stated:.1f} mdeg/s", least
-    )
-    show("stated uncertainty over error", f"{stated / error:.2f}", widest)
-    assert inside >= least
-    assert stated < widest * error
-    if least == 0.0:
-        assert inside < 0.93  # the verdict has to say so: next test
 
 
 def test_half_the_loop_is_found_with_its_sign():
@@ -208,3 +171,118 @@ def test_noisy_temperatures_of_a_warm_up_do_not_hurt(noise, step, limit):
         limit,
     )
     assert mean < limit
+
+
+# ---- Scale over temperature and dynamic drift of simulated devices: the intervals of the tables hold the truth
+#
+# The device is the note's (ENC-03J), soaked every 5 degC from 18 to 75 degC and turned both ways about three axes. Its
+# thermometer has noise and no trim error, because the true tables are over the true temperature.
+
+FINE_NODES = np.arange(18.0, 75.01, 0.5)
+
+
+def note_device(seed: int) -> DeviceModel:
+    model = random_device(np.random.default_rng(seed), grade="enc03j_3031")
+    return replace(model, thermometer=Thermometer(noise_c=0.05))
+
+
+def _truth_of_e(device: DeviceModel, fit: DynamicFit, axis: int) -> np.ndarray:
+    """Return e of one axis at the nodes by turning it alone, with the device's own offset and constant matrix."""
+    rate = np.zeros((801, 3))
+    rate[:, axis] = np.linspace(-2.2, 2.2, 801)
+    inverse = np.linalg.inv(device.gyro.forward_matrix)
+    rows = []
+    for temp_c in fit.drift.temp_c:
+        warmth = np.full(801, temp_c - device.reference_temp_c)
+        rest = reading(device.gyro, np.zeros((1, 3)), warmth[:1])
+        measured = ((reading(device.gyro, rate, warmth) - rest) @ inverse.T)[:, axis]
+        rows.append(np.interp(fit.drift.turn_rate, measured, measured - rate[:, axis]))
+    return np.array(rows)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("devices", [12, 20])
+def test_intervals_of_matrix_and_dynamic_drift_hold_the_truth(devices: int) -> None:
+    z_scale, z_dynamic = [], []
+    for seed in range(devices):
+        device = note_device(seed)
+        straight = replace(device, gyro=replace(device.gyro, nonlinearity=None, rate_drift=None))
+        static = true_tables(device, FINE_NODES, np.array([-1.0, 1.0])).static
+        rng = np.random.default_rng(100 + seed)
+        # The matrix on a device of straight lines: on a bent one the best line over the grid is no single truth.
+        fit = fit_scale(
+            prepared(computed(straight, SOAKS, rng, rates=GRID[1::2]), true_calibration(straight).gyro, static=static),
+            true_calibration(straight).gyro,
+            temp_c=FINE_NODES,
+        )
+        truth = true_tables(straight, FINE_NODES, np.array([-1.0, 1.0])).scale
+        z_scale.append((fit.drift.gyro_matrix - truth.gyro_matrix) / fit.drift.gyro_uncertainty)
+        if seed % 3:
+            continue
+        steps = computed(device, SOAKS, rng, rates=GRID[1::2])
+        calibration = true_calibration(device)
+        dynamic = fit_dynamic(prepared(steps, calibration.gyro, static=static), calibration.gyro, span_c=(15.0, 75.0))
+        seen = ~dynamic.drift.extrapolated & (dynamic.drift.turn_rate != 0.0)
+        for axis in range(3):
+            off = dynamic.drift.error[..., axis] - _truth_of_e(device, dynamic, axis)
+            z_dynamic.append((off / dynamic.drift.uncertainty[..., axis])[seen])
+    scale = float(np.mean(np.abs(z_scale) < 1.96))
+    dynamic_share = float(np.mean(np.abs(np.concatenate(z_dynamic)) < 1.96))
+    show("95 % intervals of M(T) nodes hold the truth", f"{scale:.3f}", (0.93, 1.0))
+    show("95 % intervals of e nodes hold the truth", f"{dynamic_share:.3f}", (0.90, 1.0))
+    # 20 devices of 9 curves of about 2.5 free values: standard error 1 %; 7 devices of 3 surfaces of about 12: 1.4 %. Both err
+    # on the wide side: twelve soaks cannot rule out that they scatter by a part of their noise beyond it.
+    assert scale > 0.93
+    assert dynamic_share > 0.90
+    # Wide, yet not twice too wide: then 95 of 100 would lie within one standard uncertainty.
+    assert float(np.mean(np.abs(z_scale) < 1.0)) < 0.95
+
+
+# ---- A simulated ENC-03J beside a thermometer that trails: its lag is found
+
+RATE_HZ = 10.0
+LOW, HIGH = 20.0, 40.0
+SLOW, FAST = 0.5, 3.0  # degC/min
+
+
+def at_rest(n):
+    still, ones = np.zeros((n, 3)), np.ones((n, 1))
+    return Motion(
+        time=np.arange(n) / RATE_HZ,
+        q_nb=ones * [1.0, 0.0, 0.0, 0.0],
+        rate_b=still,
+        mean_rate_b=still,
+        force_b=ones * [0.0, 0.0, STANDARD_GRAVITY],
+        gravity_m_s2=STANDARD_GRAVITY,
+        moving=np.zeros(n),
+    )
+
+
+def device(lag_s):
+    model = preset("enc03j_3031")
+    return replace(
+        model,
+        gyro=replace(model.gyro, low_pass=None, warm_up=None),
+        accel=replace(model.accel, low_pass=None, lever_arm=None),
+        thermometer=replace(model.thermometer, lag_s=lag_s, self_heating_c=0.0),
+    )
+
+
+def ramped(lag_s, ramp, seed):
+    """Return a session of one ramp up and down, degC/min."""
+    half = round(60.0 * (HIGH - LOW) / ramp * RATE_HZ)
+    temp = np.concatenate((np.linspace(LOW, HIGH, half), np.linspace(HIGH, LOW, half)))
+    record = simulate_device(device(lag_s), at_rest(len(temp)), rng=np.random.default_rng(seed), temp_c=temp).record
+    rest = (Still(start=0, stop=len(temp)),)
+    return Session(kind="thermal", serial="A", gravity_m_s2=STANDARD_GRAVITY, records=(record,), stills=rest)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lag_s", [10.0, 20.0, 40.0, 80.0])
+def test_lag_is_found(lag_s):
+    sessions = ramped(lag_s, SLOW, 1), ramped(lag_s, FAST, 2)
+    temperatures = [[trusted_temperature(session, 0).temp_c] for session in sessions]
+    lag = estimate_lag(observe_rests(sessions, temperatures=temperatures))
+    show(f"lag {lag_s:g} s: estimated, s", f"{lag.lag_s:.1f} +- {lag.uncertainty_s:.1f}", "4 standard deviations + 1")
+    assert np.isfinite(lag.uncertainty_s)
+    assert abs(lag.lag_s - lag_s) <= 4.0 * lag.uncertainty_s + 1.0
