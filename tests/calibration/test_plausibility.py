@@ -34,7 +34,6 @@ def permuted(*order):
     [
         (READING, FACES),
         (np.concatenate((READING, READING[:2] + 0.02)), (*FACES, "+x", "-x")),
-        (READING[:5], FACES[:5]),
     ],
 )
 def test_good_faces_pass(reading, faces):
@@ -50,9 +49,7 @@ def labels_with(wrong):
     [
         (np.concatenate((READING[:3], READING[:1] + 0.02, READING[4:])), FACES, "recorded twice", {"-y"}),
         (READING, labels_with("-y"), "labelled twice", {"+y"}),
-        (READING, labels_with("-z"), "labelled twice", {"+y"}),
         (permuted(2, 1, 0, 3, 4, 5), FACES, "are swapped", {"+x", "+y"}),
-        (permuted(0, 4, 2, 3, 1, 5), FACES, "are swapped", {"-x", "+z"}),
         (permuted(0, 1, 3, 2, 4, 5), FACES, "y is reversed", {"+y", "-y"}),  # the fit would be perfect
         (permuted(4, 1, 2, 3, 0), FACES[:5], "are swapped", {"+x", "+z"}),
         (permuted(3, 5, 2, 0, 4, 1), FACES, "do not fit", {"+x", "-x", "-y", "-z"}),
@@ -147,8 +144,6 @@ def test_the_order_as_it_should_be_passes():
         (rows("-x", "-y", "+z"), "accelerometer column z"),
         (rows("-x", "-y", "-z"), "all gyroscope columns"),
         (rows("+y", "+x", "+z"), "gyroscope columns x"),
-        (rows("-y", "-x", "-z"), "accelerometer columns x"),
-        (rows("+y", "+z", "+x"), "gyroscope columns x"),
         (rows("+y", "-z", "-x"), "gyroscope columns x"),
     ],
 )
@@ -226,15 +221,13 @@ def to_one_side():
         [np.round(np.random.default_rng(0).normal(2.0, 0.6, (5000, 3)))],  # codes 0 to 5 repeat often
         [noisy()],
         [],
-        [np.round(noisy())],
-        [np.full((50, 3), np.nan)],
         [TURN],  # its rounded top is long enough to be taken for a run
         [COARSE],
         [np.repeat(100.0 * noisy(), 6, axis=0)],  # samples that are held
         POSES,
         [to_one_side()],
     ],
-    ids=["slow", "codes", "swing", "none", "steps", "gaps", "turn", "coarse", "held", "poses", "one side"],
+    ids=["slow", "codes", "swing", "none", "turn", "coarse", "held", "poses", "one side"],
 )
 def test_readings_within_the_range_pass(windows):
     check_range(windows, "gyroscope")

@@ -81,10 +81,8 @@ def test_loss_of_an_offset_left_in_is_over_one_axis():
 @pytest.mark.parametrize(
     ("names", "shown"),
     [
-        (("m_xy", "m_xz"), "cross-axis terms xy and xz"),
         (("m_yz",), "cross-axis term yz"),
         (("m_yy", "offset_y"), "scale of y, offset of y"),
-        (("offset_x", "offset_y", "offset_z"), "offset of x, y and z"),
         (
             (*MATRIX_NAMES, *OFFSET_NAMES),
             "scale of x, y and z, cross-axis terms xy, xz, yx, yz, zx and zy, offset of x, y and z",

@@ -179,6 +179,10 @@ def calibrated(
     observed = observe(session, settings)
     accel_fit, accel_findings = _calibrate_accel(observed, accel, mode or "affine")
     gyro_fit, gyro_findings = _calibrate_gyro(observed, gyro, mode or "affine", accel_fit)
+    if mode == "paper" and "multi-position" in (_method(accel_fit), _method(gyro_fit)):
+        raise InputError(
+            "calibrate: mode paper requires rests on six faces and known turns. Record them, or use mode affine."
+        )
     findings = (*other_temperatures, *_doubts(observed, accel_fit, gyro_fit), *accel_findings, *gyro_findings)
     verdict, models = _collect_verdict(findings), dict[str, TriadModel]()
     kinds: tuple[Kind, Kind] = ("accel", "gyro")
@@ -217,7 +221,7 @@ def _gravity_assumed(gravity_m_s2: float, level: Level) -> Finding:
 
 
 def _doubts(observed: Observed, accel: TriadFit | None, gyro: TriadFit | None) -> Iterator[Finding]:
-    """Yield findings about a doubtful latitude, gravity or gyroscope scale, and about the pieces."""
+    """Yield findings about doubtful settings, about the pieces, and about quantities that no fit determines."""
     latitude_deg = observed.settings.latitude_deg
     if latitude_deg is not None and LATITUDE_LIKE_RADIANS[0] < abs(latitude_deg) < LATITUDE_LIKE_RADIANS[1]:
         as_degrees = f"{latitude_deg:g} rad are {latitude_deg / RADIAN_PER_DEGREE:.4g} deg"
@@ -230,7 +234,17 @@ def _doubts(observed: Observed, accel: TriadFit | None, gyro: TriadFit | None) -
         largest = max(float(np.nanmax(np.abs(r.gyro))) for r in observed.session.records if r.gyro is not None)
         rates_given = _method(gyro) in ("rate-table", "known-rotation")
         yield from check_gyro_scale(gyro.model.scale_factor, gyro.model.unit_in, largest, rates_given=rates_given)
+        if accel is None and rates_given:
+            record = "Record rests on six faces with accelerometers in the same session."
+            yield _not_observable("g-sensitivity of the gyroscopes", "info", record=record)
     yield from observed.findings
+    if accel is not None:
+        free_poses = _method(accel) == "multi-position"
+        if free_poses:
+            record = "Rest on six faces of the case, because free poses determine only the length of gravity."
+            yield _not_observable("Mounting of the sensors in the case", "info", record=record)
+        unused = observed.unused_stills(observed.stills if free_poses else observed.faced)
+        yield from check_accel(observed.session, accel.model, unused)
 
 
 def find_pieces(session: Session, settings: CalibrateSettings) -> tuple[Session, tuple[Turn, ...]]:
@@ -250,7 +264,7 @@ def find_pieces(session: Session, settings: CalibrateSettings) -> tuple[Session,
 def _calibrate_accel(
     observed: Observed, method: AccelFit | None, mode: Mode
 ) -> tuple[TriadFit | None, tuple[Finding, ...]]:
-    """Return the accelerometers' fit, compared with the rests that it did not use, and further findings."""
+    """Return the fit of the accelerometers. Without a fit, a finding contains the reason."""
     if all(record.accel is None for record in observed.session.records):
         if method is not None:
             raise NotObservable(f"accelerometer by {method}: no accelerometer readings. Map the accel columns.")
@@ -263,24 +277,18 @@ def _calibrate_accel(
             raise NotObservable(
                 f"expected rests on six faces or {MIN_FREE_POSES} free poses, got {len(observed.stills)}."
             )
-        fit = ACCEL_FITS[name](observed, mode, None)
+        return ACCEL_FITS[name](observed, mode, None), ()
     except NotObservable as error:
         if method is not None or faces:
             raise
         why = f"{error} Faces without a rest: {', '.join(missing) or 'none'}."
         return None, (_not_observable("Accelerometer", "warn", why=why, record="Record the missing rests."),)
-    _check_mode("accelerometer", mode, fit, "rests on all six faces")
-    used, findings = observed.faced if name == "six-face" else observed.stills, list[Finding]()
-    if name == "multi-position":
-        record = "Rest on six faces of the case, because free poses determine only the length of gravity."
-        findings.append(_not_observable("Mounting of the sensors in the case", "info", record=record))
-    return fit, (*findings, *check_accel(observed.session, fit.model, observed.unused_stills(used)))
 
 
 def _calibrate_gyro(
     observed: Observed, method: GyroFit | None, mode: Mode, accel: TriadFit | None
 ) -> tuple[TriadFit | None, tuple[Finding, ...]]:
-    """Fit the gyroscopes, or measure their offset at rest if no fit is possible. Also return further findings."""
+    """Fit the gyroscopes, or measure their offset at rest if no fit is possible, and return findings about missing turns."""
     if method == "none" or all(record.gyro is None for record in observed.session.records):
         if method not in (None, "none"):
             raise NotObservable(f"gyroscope by {method}: no gyroscope readings. Map the gyro columns.")
@@ -299,12 +307,6 @@ def _calibrate_gyro(
         findings = (*findings, _not_observable("Gyroscope scale", "warn", why=str(error), record=RECORD_TURNS))
         with suppress(NotObservable):
             fit = calibrate_rest(observed, mode, accel)
-    if fit is None:
-        return None, findings
-    _check_mode("gyroscope", mode, fit, "turns by known rates or angles")
-    if accel is None and _method(fit) in ("rate-table", "known-rotation"):
-        record = "Record rests on six faces with accelerometers in the same session."
-        findings = (_not_observable("g-sensitivity of the gyroscopes", "info", record=record), *findings)
     return fit, findings
 
 
@@ -331,11 +333,6 @@ def _choose_gyro_fit(observed: Observed, saturated: bool) -> GyroFit:
         return "known-rotation"
     with_force = observed.session.records[0].accel is not None
     return "multi-position" if with_force and len(observed.stills) >= MIN_FREE_POSES else "rest"
-
-
-def _check_mode(triad: str, mode: Mode, fit: TriadFit, record: str) -> None:
-    if mode == "paper" and _method(fit) == "multi-position":
-        raise InputError(f"calibrate: mode paper of the {triad} requires {record}. Record them, or use mode affine.")
 
 
 # ---- where a calibration came from
