@@ -12,6 +12,7 @@ from undrift.calibration.settings import CalibrateSettings
 from undrift.calibration.table import DwellMeans, mountings, table_axes
 from undrift.errors import InputError
 from undrift.record import RateTable, Record, Still, Turn
+from undrift.sim.device.effects import LeverArm
 from undrift.sim.motion.bench import BenchErrors, BenchSettings
 from undrift.sim.motion.motion import unit_vector
 from undrift.sim.sessions import simulate_session
@@ -20,17 +21,18 @@ from undrift.sim.sessions import simulate_session
 
 DEG = np.pi / 180.0
 G = 9.80665
+ARM = LeverArm(arms=np.tile((0.03, -0.02, 0.04), (3, 1)))
 QUIET = BenchErrors(mount_tilt=0.5 * DEG, level=0.2 * DEG)
 
 
 def turned(kind="rate_table", table=QUIET, seed=3, **settings):
     rng = np.random.default_rng(seed)
     device = without_noise(white_device(rng))
+    device = replace(device, accel=replace(device.accel, lever_arm=ARM))
     bench = BenchSettings(
         sample_rate_hz=50.0,
         turn_rates=tuple(rate * DEG for rate in (20.0, 50.0, 90.0)),
         errors=table,
-        lever_arm_b=(0.03, -0.02, 0.04),
         **settings,
     )
     return device, simulate_session(kind, device, rng=rng, settings=bench)

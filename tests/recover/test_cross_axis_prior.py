@@ -8,7 +8,7 @@ from testkit.findings import codes, only
 from testkit.poses import PosesFit, fit_multi_position
 from undrift.errors import NotObservable
 from undrift.record import FACES, Record
-from undrift.sim.motion.bench import BenchSettings, script_motion
+from undrift.sim.motion.bench import BenchSettings
 from undrift.sim.motion.motion import Motion, Script, facing, unit_vector
 
 G, PRIOR = 9.80665, 0.01
@@ -26,7 +26,7 @@ def faces_by_hand(seed: int, poses: int = 16) -> Motion:
         up = unit_vector(face)
         script.lay(facing(script.q, up + np.cross(rng.normal(0.0, np.radians(1.0), 3), up)), SETTINGS.move_s)
         script.still(SETTINGS.still_s)
-    return script_motion(script, SETTINGS)
+    return script.motion(SETTINGS.gravity_m_s2)
 
 
 MOTION = faces_by_hand(1)
@@ -102,7 +102,7 @@ def test_pose_between_two_faces_shows_its_term() -> None:
     for up in ups:
         script.lay(facing(script.q, up + 0.005 * rng.normal(size=3)), SETTINGS.move_s)
         script.still(SETTINGS.still_s)
-    fit, accel = fitted(3, script_motion(script, SETTINGS))
+    fit, accel = fitted(3, script.motion(SETTINGS.gravity_m_s2))
     finding = only(fit.accel.verdict.findings, "session.not_observable")
     assert finding.values["what"].endswith("terms xz and yz")
     share = fit.accel.model.standard_uncertainty[:9].reshape(3, 3)

@@ -283,9 +283,7 @@ def test_rests_on_one_face_leave_the_g_sensitivity_at_its_prior() -> None:
 DWELLS = bench_motion(
     "rate_table",
     rng=np.random.default_rng(0),
-    settings=BenchSettings(
-        sample_rate_hz=20.0, ramp_s=0.2, dwell_s=1.35, turn_rates=(0.3, 0.9, 1.5), latitude_deg=None
-    ),
+    settings=BenchSettings(sample_rate_hz=20.0, ramp_s=0.2, dwell_s=1.35, turn_rates=(0.3, 0.9, 1.5)),
 )
 
 
@@ -300,18 +298,3 @@ def test_dwells_give_back_the_device_without_noise(mode: Mode) -> None:
     # The spline solves normal equations of condition 1e6: 1e-10 of the reading.
     np.testing.assert_allclose(model.forward_matrix, device.gyro.forward_matrix, atol=1e-8 * 940)
     np.testing.assert_allclose(model.offset, device.gyro.raw_offset, atol=1e-6)
-
-
-def test_the_earth_rate_is_taken_out_where_the_latitude_is_known() -> None:
-    rng = np.random.default_rng(1)
-    device = without_noise(white_device(rng))
-    bench = BenchSettings(sample_rate_hz=50.0, still_s=0.5, dwell_s=2.32, turn_rates=(np.pi,), latitude_deg=41.9)
-    # Settled dwells last 2 s, one whole turn: what is level averages out.
-    motion = bench_motion("rate_table", rng=rng, settings=bench)
-    record = simulate_device(device, motion, rng=rng).record
-    dwells = dwell_means((record,), motion.turns, settle_s=0.3)
-    with_earth = fit_rate_table(dwells, latitude_deg=41.9).model
-    without = fit_rate_table(dwells).model
-    missed = np.abs(with_earth.offset - device.gyro.raw_offset).max()
-    assert missed < 1e-3  # counts; the Earth is 0.07
-    assert missed < 0.02 * np.abs(without.offset - device.gyro.raw_offset).max()
