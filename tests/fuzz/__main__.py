@@ -95,8 +95,8 @@ def main() -> int:
     plan = Plan(inputs, given.seed, cuts)
     PLANS.append(plan)
     for seed in inputs:  # once, before there are workers
-        if seed.sound is not None:
-            _ = seed.sound.place if seed.sound.is_text else seed.sound.anchors
+        if seed.sound is not None and seed.sound.is_text:
+            _ = seed.sound.place
     numbers = range(len(cuts)) if cuts else range(given.first, given.first + given.inputs)
     counts: dict[str, Counter[str]] = {seed.name: Counter() for seed in inputs}
     finished = 0

@@ -8,13 +8,12 @@
     SILENT        rows lost, doubled or shifted, columns or units exchanged, or more rows changed than touched, without a word
 
 Text is aligned line by line. Which cells of a line became which value of a row is found in the sound file alone, as the straight
-line between a column of cells and a column of readings. In binary files the place of a row is where the bytes of its readings are.
+line between a column of cells and a column of readings. In binary files, a changed byte may change the rows of a block.
 """
 
 import difflib
 import gzip
 import re
-import struct
 import tempfile
 from collections.abc import Iterator
 from contextlib import suppress
@@ -47,7 +46,7 @@ COUNTS = (
 )  # values of findings that tell one damage from another
 NAMES_DAMAGE = re.compile(r"\b(lost|missing|left out|not read|damaged|cut|jumps?)\b")
 NUMBER = re.compile(rb"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
-SLOW = 700  # rows that one reading of a slow thermometer is interpolated onto
+SLOW = 700  # rows of a block, onto which one reading of a slow thermometer is interpolated
 REGULAR = 0.05  # of the median: steps of a time column that a missing row breaks
 
 
@@ -234,55 +233,6 @@ class Sound:
         if not self.timed:
             best[1].pop(0, None)
         return best
-
-    @cached_property
-    def anchors(self) -> tuple[np.ndarray, np.ndarray]:
-        """Places of rows in a binary file, rising, and their rows; none where the bytes of readings are not found."""
-        if self.plain.startswith(b"Device Identity"):
-            return _geneactiv_rows(self.plain)
-        fixed = _fixed_rows(self.plain, len(self.reading.values))
-        if fixed is not None:
-            return fixed
-        values = self.reading.values[:, 1:4]
-        for form in ("<3d", "<3f", "<3h", "<3i", "<3q", ">3f"):
-            try:
-                packed = [struct.pack(form, *(row if form[-1] in "df" else map(int, row))) for row in values.tolist()]
-            except (struct.error, OverflowError, ValueError):
-                continue
-            if min(self.plain.find(item) for item in (packed[0], packed[len(packed) // 2], packed[-1])) < 0:
-                continue
-            at, last = [], 0
-            for item in packed:
-                onward = self.plain.find(item, last)
-                last = onward if onward >= 0 else self.plain.find(item)
-                at.append(last)
-                last = max(last, 0)
-            places = np.array(at)
-            if places.min() >= 0 and len(set(at)) > 0.9 * len(at):
-                order = np.argsort(places, kind="stable")
-                return places[order], order
-        return np.empty(0, dtype=int), np.empty(0, dtype=int)
-
-
-def _geneactiv_rows(plain: bytes) -> tuple[np.ndarray, np.ndarray]:
-    starts = [match.start(1) for match in re.finditer(rb"\n([0-9A-Fa-f]{3600})\r?\n?", plain)]
-    places = [start + 12 * k for start in starts for k in range(300)]
-    return np.array(places, dtype=int), np.arange(len(places))
-
-
-def _fixed_rows(plain: bytes, rows: int) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return rows of one size behind a header: NilsPod, C3D, sectors of Axivity."""
-    if plain[1:2] == b"\x50" and plain[0] < 128:
-        words = np.frombuffer(plain[:512], ">u2" if plain[(plain[0] - 1) * 512 + 3] == 86 else "<u2")
-        start = 512 * (int(words[8]) - 1)
-        size = (len(plain) - start) // rows
-        real = int(words[7] | words[6]) & 0x8000
-        wanted = (4 * int(words[1]) + int(words[2])) * (4 if real else 2)
-        size = wanted if wanted * rows <= len(plain) - start else size
-        return start + size * np.arange(rows), np.arange(rows)
-    if plain[0] in range(0x30, 0x41) and 6 <= plain[1] <= 64 and len(plain) == plain[0] + plain[1] * rows:
-        return plain[0] + plain[1] * np.arange(rows), np.arange(rows)
-    return None
 
 
 def number(cell: bytes) -> float:
@@ -497,39 +447,19 @@ def _is_gap(
 
 
 def _of_binary(sound: Sound, plain: bytes, held: Reading) -> tuple[str, str]:
-    was, (places, rows) = sound.reading, sound.anchors
+    was, size = sound.reading, len(sound.plain)
     if held.names != was.names or held.units != was.units or held.values.shape != was.values.shape:
         if held.units == was.units and _is_part(was.values, held.values):
             return "own value", f"{len(was.values) - len(held.values)} rows fewer at an end"
         kind = "SILENT" if len(held.values) != len(was.values) else "header value"
         return kind, f"{was.values.shape} to {held.values.shape}, {held.units} {held.names}"[:200]
-    ranges = _changed_ranges(sound.plain, plain)
-    allowed = np.zeros(len(was.values), dtype=bool)
-    in_rows = len(places) > 0
-    for start, stop in ranges:
-        if not len(places) or start < places[0] - 256:
-            in_rows = False
-            continue
-        low, high = np.searchsorted(places, start, "right") - 1, np.searchsorted(places, stop - 1, "right")
-        near = rows[max(0, low - 1) : high + 2]
-        allowed[near] = True
-    allowed |= np.convolve(allowed, np.ones(3), "same") > 0
-    away = np.abs(held.values - was.values) > 0.0
-    away |= np.isnan(held.values) != np.isnan(was.values)
-    slow = [k for k, name in enumerate(was.names) if name.startswith("temp") and was.kind == "recording"]
-    fast = away.copy()
-    fast[:, slow] = False
-    changed = int(away.any(axis=1).sum())
-    if not (fast.any(axis=1) & ~allowed).any() and (changed <= SLOW or not away[:, slow].any()):
+    away = (np.abs(held.values - was.values) > 0.0) | (np.isnan(held.values) != np.isnan(was.values))
+    changed, ranges = int(away.any(axis=1).sum()), _changed_ranges(sound.plain, plain)
+    if changed <= sum(SLOW + len(was.values) * (stop - start) / size for start, stop in ranges):
         return "own value", f"{changed} rows"
-    scaled = _scaled(was, held)
-    if scaled and (not in_rows or sound.plain.startswith(b"XDF:")):  # offsets of clocks stand among the rows
+    if scaled := _scaled(was, held):
         return "header value", f"all rows: {scaled}"
-    first = int(away.any(axis=1).argmax())
-    return (
-        "SILENT",
-        f"{int(away.any(axis=1).sum())} rows changed, {int(allowed.sum())} touched, first {first}; bytes {ranges[:3]}",
-    )
+    return "SILENT", f"{changed} rows changed, first {int(away.any(axis=1).argmax())}; bytes {ranges[:3]}"
 
 
 def _is_part(was: np.ndarray, held: np.ndarray) -> bool:
@@ -546,26 +476,10 @@ def _is_part(was: np.ndarray, held: np.ndarray) -> bool:
 
 def _changed_ranges(sound: bytes, damaged: bytes) -> list[tuple[int, int]]:
     """Return the ranges of the sound bytes that differ; from the first to the last of them where the length is another."""
-    if len(sound) == len(damaged):
-        at = np.flatnonzero(np.frombuffer(sound, np.uint8) != np.frombuffer(damaged, np.uint8))
-        return [(int(k), int(k) + 1) for k in at]
-    if sound.startswith(b"Device Identity"):  # lines, of which two places may have changed
-        return _changed_lines(sound.splitlines(keepends=True), damaged.splitlines(keepends=True))
-    least = min(len(sound), len(damaged))
     one, other = np.frombuffer(sound, np.uint8), np.frombuffer(damaged, np.uint8)
+    if len(sound) == len(damaged):
+        return [(int(k), int(k) + 1) for k in np.flatnonzero(one != other)]
+    least = min(len(sound), len(damaged))
     head = next(iter(np.flatnonzero(one[:least] != other[:least])), least)
     tail = next(iter(np.flatnonzero(one[::-1][: least - head] != other[::-1][: least - head])), least - head)
     return [(int(head), max(int(head) + 1, len(sound) - int(tail)))]
-
-
-def _changed_lines(sound: list[bytes], damaged: list[bytes]) -> list[tuple[int, int]]:
-    """Return the ranges of the sound bytes that differ, line by line."""
-    start, ranges = np.concatenate(([0], np.cumsum([len(line) for line in sound]))).astype(int), list[tuple[int, int]]()
-    for kind, a, b, c, d in matched(sound, damaged):
-        if kind == "equal":
-            continue
-        pairs = list(zip(range(a, b), damaged[c:d], strict=False)) if b - a == d - c else []
-        for k, line in pairs:
-            ranges += [(int(start[k]) + first, int(start[k]) + last) for first, last in _changed_ranges(sound[k], line)]
-        ranges += [] if pairs else [(int(start[a]), max(int(start[a]) + 1, int(start[b])))]
-    return ranges

@@ -283,8 +283,9 @@ def _logger(path: Path, how: ColumnMap) -> RawTable:
             "the file ends within a sector. Set drop_bad_rows = true in a map to read the complete sectors."
         )
     pages = str(about.get("Memory Status", {}).get("Number of Pages", ""))
-    if pages.isdigit() and len(stamps) < 300 * int(pages) and not how.drop_bad_rows:
-        raise ValueError(f"samples of {pages} pages are missing. Set drop_bad_rows = true in a map to read the rest.")
+    if pages.isdigit() and len(stamps) != 300 * int(pages) and not how.drop_bad_rows:
+        what = "missing" if len(stamps) < 300 * int(pages) else "too many"
+        raise ValueError(f"samples of {pages} pages are {what}. Set drop_bad_rows = true in a map to read the rest.")
     start = stamps[:1].astype("M8[ns]").astype("M8[ms]")[0]
     notes = [f"time 0 is {start} by the logger's clock (local time)", *map(str, held["warnings"])]
     blocks = np.asarray(slow.get("datetime", stamps[:1]), dtype=np.int64)
