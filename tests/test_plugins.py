@@ -1,18 +1,14 @@
-"""Other packages add a rig and a source by entry points; nothing is imported before it is asked for."""
+"""Other packages add a rig by an entry point; nothing is imported before it is asked for."""
 
 import subprocess
 import sys
 
-import numpy as np
 import pytest
 
 from undrift.errors import InputError
-from undrift.live.transports import SOURCES, source_at
 from undrift.rig.rig import CONTROLLERS, open_rig
 
 LATHE = """
-import numpy as np
-from undrift.live.decoder import Chunk, StreamDescription
 from undrift.rig.manual import ManualRig
 
 class Lathe(ManualRig):
@@ -23,24 +19,12 @@ def open_lathe(url, settings):
     rig = Lathe(lambda line: "", settings.limits)
     rig.place = url
     return rig
-
-class Ramp:
-    errors = 0
-    def __init__(self, address):
-        self.name, self.description = address.place, address.describe()
-    def open(self): pass
-    def close(self): pass
-    def read(self, deadline_s):
-        return Chunk(host_time=np.zeros(2), counter=np.arange(2.0), values=np.ones((2, 6)))
 """
 POINTS = """
 [undrift.rigs]
 lathe = lathe:open_lathe
 broken = lathe:not_there
 galil = lathe:open_lathe
-
-[undrift.sources]
-ramp = lathe:Ramp
 """
 
 
@@ -62,18 +46,9 @@ def test_a_rig_of_another_package_is_opened_by_its_address(installed):
     assert CONTROLLERS.keys() == {"galil", "grbl", "manual", "simulated"}
 
 
-def test_a_source_of_another_package_is_opened_by_its_address(installed):
-    source = source_at("ramp:a?rate=10")
-    assert (source.name, source.description.rate) == ("a", 10.0)
-    assert np.array_equal(source.read(1.0).values, np.ones((2, 6)))
-    assert SOURCES.keys() == {"tcp", "udp", "serial", "lsl", "simulated"}
-
-
 def test_an_unknown_kind_names_those_of_other_packages_too(installed):
     with pytest.raises(InputError, match=r"lathe:.*got 'press:'"):
         open_rig("press:")
-    with pytest.raises(InputError, match=r"ramp:.*got 'press:'"):
-        source_at("press:")
 
 
 def test_package_without_its_object_is_refused(installed):

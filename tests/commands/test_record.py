@@ -2,7 +2,6 @@
 
 import math
 import re
-import subprocess
 import sys
 import threading
 import time
@@ -12,7 +11,6 @@ import numpy as np
 import pytest
 
 from testkit.data import show
-from testkit.disk import preloaded
 from testkit.printing_board import PrintingBoard, sketch_line
 from undrift.base.clock import Clock
 from undrift.commands.bench import source
@@ -91,54 +89,6 @@ def test_a_cable_that_is_pulled_is_one_line_and_costs_nothing(undrift, tmp_path,
     assert made.duration_s > 1.0
     np.testing.assert_allclose(np.diff(made.time), 0.01, atol=1e-9)
     assert [one.name for one in tmp_path.iterdir()] == ["a.parquet"]
-
-
-FULL = """
-import sys, tempfile
-from pathlib import Path
-import numpy as np
-from testkit.disk import full_after
-from testkit.talking_device import TalkingDevice
-from undrift.commands.record import record
-from undrift.errors import InputError
-from undrift.io.formats import read_record
-
-n, rows, step, ending = 0, [], int(sys.argv[1]), sys.argv[2]
-with TalkingDevice(1000.0) as device:
-    address = device.address.replace("rate=1000", "rate=100") + "&clock_speed=10"
-    while True:
-        with tempfile.TemporaryDirectory() as folder:
-            path, text = Path(folder, "a" + ending), None
-            with full_after(Path(folder), n, stays=n % 2 == 0) as calls:
-                try:
-                    record(address, output=path, duration_s=15.0)
-                except InputError as error:
-                    text = str(error)
-            if calls[0] <= n:
-                break
-            left = [one for one in Path(folder).glob("a*") if one.suffix != ".json" and one.stat().st_size > 200]
-            rows.append(len(read_record(left[0])) if left else 0)
-            if text is None:  # it went another way round
-                assert left == [path], (n, left)
-            else:
-                assert "Free disk space" in text and chr(10) not in text, (n, text)
-                assert not left or text.endswith(f"until then are in {left[0]})"), (n, left, text)
-            if left:
-                np.testing.assert_allclose(np.diff(read_record(left[0]).time), 0.01, atol=1e-9)
-        n += step
-print(rows)
-until = np.minimum(rows, 1500)  # a busy machine takes in more until it ends
-assert (np.diff(until) > -200).all() and rows[0] == 0 and rows[-1] > 1400, rows
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("ending", [".csv", ".parquet"])
-def test_a_disk_that_is_full_at_any_write_leaves_what_was_recorded(ending):
-    words = [sys.executable, "-c", FULL, "7", ending]
-    done = subprocess.run(words, env=preloaded(), capture_output=True, text=True, timeout=300.0, check=False)
-    show(f"record to {ending}, rows left at each 7th call that takes room", done.stdout)
-    assert done.returncode == 0, done.stdout + done.stderr
 
 
 # ---- A guide

@@ -68,10 +68,3 @@ def test_the_sketch_prints_the_corrected_readings(tmp_path, drift):
     raw = record(2, gyro=twice[0], accel=twice[1], temp_c=np.full(2, temp_c))
     made = correct(raw, calibration, policy="hold")
     np.testing.assert_allclose(shown, [*made.gyro[0], *made.accel[0], temp_c], atol=6e-3)
-
-
-def test_a_folder_that_exists_is_not_written_over(tmp_path, capsys):
-    write_calibration(device(), tmp_path / "c.json")
-    (tmp_path / "mine").mkdir()
-    assert run(["export", str(tmp_path / "c.json"), "--target", "arduino", "-o", str(tmp_path / "mine")]) == 2
-    assert "exists already" in capsys.readouterr().err

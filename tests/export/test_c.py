@@ -155,12 +155,6 @@ def test_triad_without_a_model_is_nominal_as_in_python(arithmetic, tmp_path):
             assert (np.abs(c - wanted) <= limit).all(), (name, unit)
 
 
-def test_triad_without_a_model_is_noted():
-    exported = export_c(device(accel=None))
-    assert any("accel_raw is read in m/s2" in note for note in exported.notes)
-    assert "accel_raw: m/s2, temperatures without a table" in exported.header
-
-
 def test_uncertainty_is_the_only_part_left_out():
     (part,) = export_c(device(drift=tables(), adc=ROUNDINGS[1])).not_carried
     assert "uncertainties" in part

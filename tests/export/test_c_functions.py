@@ -1,6 +1,5 @@
 """Further functions of the exported C source against correction/correct.py: rest, magnetometer, warm-up, lag of the thermometer."""
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -79,14 +78,6 @@ def test_gap_at_rest_is_bridged(tmp_path):
     got, wanted, _ = both(calibration, replace(r, gyro=gyro), "double", tmp_path)
     np.testing.assert_array_equal(np.isnan(got), np.isnan(wanted))
     assert (np.abs(got - wanted) < 1e-12)[:470][np.isfinite(wanted[:470])].all()
-
-
-def test_header_names_the_function_at_rest():
-    exported = export_c(moving(None))
-    assert "through undrift_at_rest" in " ".join(exported.notes)
-    assert "6 by undrift_at_rest" in re.sub(r"[\s*]+", " ", exported.header)
-    assert not any("change of the offset" in text for text in exported.not_carried)
-    assert "at_rest" not in export_c(device(drift=None)).header
 
 
 MAG_MAIN = """

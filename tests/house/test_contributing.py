@@ -48,4 +48,4 @@ def test_a_format_is_added_by_one_file_and_one_line(
         formats.outside_formats.cache_clear()
         sys.modules.pop("plain_logger", None)
     for group in re.findall(r"\| `(undrift\.\w+)` \|", TEXT):
-        assert group in {"undrift.formats", "undrift.rigs", "undrift.sources"}
+        assert group in {"undrift.formats", "undrift.rigs"}

@@ -8,7 +8,7 @@ import pytest
 from testkit.cards import TurningBoard, TurningCard
 from testkit.data import show
 from testkit.rig_bench import driven, simulated
-from undrift.errors import InputError, LimitError, LinkError
+from undrift.errors import InputError, LimitError
 from undrift.rig.check import check_rig
 from undrift.rig.rig import Limits, ServoReport
 
@@ -54,15 +54,6 @@ def test_ctrl_c_in_the_wave_leaves_the_motor_off(opened):
 
     with pytest.raises(KeyboardInterrupt):
         check_rig(rig, clock, **SHORT, report=interrupt)
-    assert (card.bench.servo.powered, card.bench.servo.moving) == (False, False)
-
-
-@pytest.mark.parametrize("command", ["SP", "MG _TE"])
-def test_a_link_that_fails_leaves_the_motor_off(opened, command):
-    card, rig, clock = opened(motor_on=True)
-    card.spoil(command, b"gar\r\n:")
-    with pytest.raises(LinkError, match=r"table was stopped"):
-        check_rig(rig, clock, **SHORT)
     assert (card.bench.servo.powered, card.bench.servo.moving) == (False, False)
 
 

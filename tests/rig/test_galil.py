@@ -195,11 +195,6 @@ def test_move_is_refused_while_another_runs(bench):
     assert bench.server.heard == ["MG _BGX"]
 
 
-def test_following_error_is_te_in_radians(bench):
-    bench.card.held["TE"] = "-4"
-    assert bench.rig.following_error() / DEGREE == pytest.approx(-0.036)
-
-
 def test_faults_are_named(bench):
     assert bench.rig.fault() is None
     bench.rig.enable(True)

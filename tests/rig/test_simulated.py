@@ -5,31 +5,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from testkit.rig_bench import SHORT
+from testkit.rig_bench import SHORT, run
 from undrift.errors import RigError, RigFault
 from undrift.io.session import read_session
-from undrift.programme import programme_of
-from undrift.rig.folder import RunFolder
 from undrift.rig.rig import open_rig
-from undrift.rig.run import Mounted, RigBench, run_programme
 from undrift.rig.simulated import AirSettings, SimulatedBench, SimulatedSettings
 from undrift.sim.device.presets import random_device
 
 DEVICE = random_device(np.random.default_rng(3), grade="consumer")
 
 
-def run_on(bench, path, protocol=SHORT):
-    with RunFolder(path, protocol) as folder:
-        chamber = bench.chamber if protocol.temperatures_c else None
-        connected = RigBench(rig=bench.table, mounting=bench, chamber=chamber, clock=bench.clock)
-        mounted = Mounted(readings=bench.readings[0], folder=folder, serial="made")
-        return run_programme(programme_of(protocol), connected, mounted, report=lambda progress: None)[0]
+def own(bench):
+    """Return the readings of the device of a bench."""
+    return bench.readings[0]
 
 
 def test_the_same_seed_makes_the_same_run_and_another_seed_another(tmp_path):
     read = []
     for name, seed in (("one", 1), ("same", 1), ("other", 2)):
-        run_on(SimulatedBench((DEVICE,), SimulatedSettings(seed=seed)), tmp_path / name)
+        run(SimulatedBench((DEVICE,), SimulatedSettings(seed=seed)), tmp_path / name, readings=own)
         read.append([record.gyro for record in read_session(tmp_path / name).records])
     assert all(np.array_equal(a, b) for a, b in zip(read[0], read[1], strict=True))
     assert not np.array_equal(read[0][0], read[2][0])
@@ -38,7 +32,7 @@ def test_the_same_seed_makes_the_same_run_and_another_seed_another(tmp_path):
 def test_a_chamber_soaks_and_the_board_follows(tmp_path):
     air = AirSettings(ramp_c_per_min=60.0, period_s=20.0, board_lag_s=10.0)
     bench = SimulatedBench((DEVICE,), SimulatedSettings(air=air))
-    run_on(bench, tmp_path / "run", replace(SHORT, temperatures_c=(30.0, 40.0)))
+    run(bench, tmp_path / "run", replace(SHORT, temperatures_c=(30.0, 40.0)), chamber=bench.chamber, readings=own)
     temps = {round(turn.temp_c) for turn in read_session(tmp_path / "run").turns}
     assert len(temps) == 2
     assert max(temps) - min(temps) == pytest.approx(10.0, abs=1.0)

@@ -14,12 +14,11 @@ Answer = Callable[[str], bytes | None]
 class Scripted:
     """Server on a free port. A function answers each command that ends with the terminator. None means no answer."""
 
-    def __init__(self, answer: Answer, terminator: bytes = b"\r", at_once: str = "", greeting: bytes = b"") -> None:
+    def __init__(self, answer: Answer, terminator: bytes = b"\r", at_once: str = "") -> None:
         self.heard: list[str] = []
         self._answer = answer
         self._terminator = terminator
         self._at_once = at_once.encode("latin-1")
-        self._greeting = greeting
         self._listener = socket.create_server(("127.0.0.1", 0))
         self._clients: list[socket.socket] = []
         self._came = threading.Event()
@@ -80,8 +79,6 @@ class Scripted:
     def _serve(self, client: socket.socket) -> None:
         waiting = b""
         try:
-            if self._greeting:
-                client.sendall(self._greeting)
             while data := client.recv(4096):
                 waiting = self._hear(client, waiting, data)
         except OSError:

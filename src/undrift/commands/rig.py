@@ -16,8 +16,7 @@ from undrift.commands.files import device_at
 from undrift.errors import InputError
 from undrift.findings import finding, told_apart
 from undrift.live.recorder import DwellReadings, Recorder
-from undrift.live.transports import source_at
-from undrift.plugins import split_address
+from undrift.live.transports import device_address, source_at
 from undrift.programme import Dwell, Mount, Programme, Soak, programme_of, read_protocol
 from undrift.report import Estimate, Report, Table
 from undrift.report.figures import draw_rig_run
@@ -197,7 +196,7 @@ def _simulated_bench(
         )
     models, settings = [], SimulatedSettings(limits=options.limits)
     for text in devices:
-        options_of_device = dict(split_address(text, "device", {"simulated": ""}, "", "Name how it is connected")[2])
+        options_of_device = dict(device_address(text)[2])
         name = options_of_device.pop("device", "")
         try:
             seed, tilt_deg = int(options_of_device.pop("seed", "0")), float(options_of_device.pop("tilt_deg", "0"))

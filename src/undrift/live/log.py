@@ -19,8 +19,7 @@ from undrift.io.labelled import Label, label_of, sheet_of
 from undrift.io.log import LineReader, LogLine, SerialLog, cycle_of, find_readings, lines_of, log_text, readings_in
 from undrift.live.clock import DeviceClock
 from undrift.live.decoder import COUNTER, IGNORED, Decoder, StreamDescription
-from undrift.live.transports import GROUP, POLL_S, SOURCES, ByteSource, SerialPort, source_at
-from undrift.plugins import split_address
+from undrift.live.transports import POLL_S, ByteSource, SerialPort, device_address, source_at
 from undrift.record import sample_rate_of
 
 BYTE_WAYS = ("serial", "tcp", "udp")
@@ -81,7 +80,7 @@ class LogDecoder(Decoder):
 
 def described_address(address: str) -> tuple[str, tuple[str, ...]]:
     """Return an address with a description of the device, and notes. An address that has a description is not changed."""
-    kind, place, options = split_address(address, "device", SOURCES, GROUP, "Name how it is connected")
+    kind, place, options = device_address(address)
     given_options = dict(options)
     if kind not in BYTE_WAYS or {"channels", "rate", "format"} & given_options.keys():
         return address, ()

@@ -4,7 +4,7 @@
 
 The options are the fields of a StreamDescription. A TCP device is a server to which this computer connects. A UDP device sends
 whole datagrams to a port of this computer. LSL provides its own time stamps. A new kind of source needs a function from an Address
-to a Source, and either a row in SOURCES or an entry point in "undrift.sources".
+to a Source, and a row in SOURCES.
 """
 
 import importlib
@@ -41,7 +41,6 @@ SOURCES = {  # function that returns the source of an address, by kind
     **{kind: f"undrift.live.transports:{kind}_source" for kind in ("tcp", "udp", "serial", "lsl")},
     "simulated": "undrift.live.hands:source_of",
 }
-GROUP = "undrift.sources"
 
 
 class Source(Protocol):
@@ -82,10 +81,15 @@ class Address:
 
 def source_at(text: str, description: StreamDescription | None = None, clock: Clock = HOST) -> Source:
     """Return the unopened source of an address."""
-    kind, place, options = split_address(text, "device", SOURCES, GROUP, "Name how it is connected")
+    kind, place, options = device_address(text)
     address = Address(kind=kind, place=place, options=options, description=description, clock=clock)
-    source: Source = load_named(kind, SOURCES, GROUP)(address)
+    source: Source = load_named(kind, SOURCES, "")(address)
     return source
+
+
+def device_address(text: str) -> tuple[str, str, Options]:
+    """Return the kind, the place and the options of an address."""
+    return split_address(text, "device", SOURCES, "", "Name how it is connected")
 
 
 # ---- Ports, which transfer bytes. A read returns b"" on timeout, and raises OSError or EOFError if the connection is lost.
