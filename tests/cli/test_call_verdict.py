@@ -39,11 +39,3 @@ def test_what_a_bad_calibration_gives_is_there_and_ends_with_code_1(undrift, ben
     assert (told.code, told.json()["verdict"]) == (1, "bad")
     codes = [item["code"] for item in told.json()["findings"]]
     assert codes.count(BAD.code if command in ("info", "certificate") else "calibration.verdict") == 1
-
-
-def test_a_folder_corrected_by_a_bad_calibration_ends_with_code_1(undrift, bench, bad, tmp_path):
-    (tmp_path / "day").mkdir()
-    (tmp_path / "day" / "trial.parquet").write_bytes((bench / "trial.parquet").read_bytes())
-    answer = undrift("correct", tmp_path / "day", "--calibration", bad, "-o", tmp_path / "out", "--json")
-    (row,) = answer.json()["tables"]["recordings"]
-    assert (answer.code, row["verdict"]) == (1, "bad")

@@ -53,17 +53,6 @@ def test_each_recording_has_its_file_and_its_row(undrift, folder, words, tmp_pat
     ]
 
 
-def test_files_by_name_are_done_as_those_of_a_folder(undrift, folder, words, tmp_path):
-    undrift(*words)
-    several = ("orient", folder / "torn.parquet", folder / "walk.parquet", *words[2:-1], tmp_path / "several")
-    assert undrift(*several).code == 1
-    of_folder, of_files = rows_of(tmp_path / "out"), rows_of(tmp_path / "several")
-    assert list(of_files) == ["torn.parquet", "walk.parquet"]
-    for name, row in of_files.items():
-        assert {**row, "output": ""} == {**of_folder[name], "output": ""}
-    assert (tmp_path / "several" / "walk.parquet").read_bytes() == (tmp_path / "out" / "walk.parquet").read_bytes()
-
-
 def test_a_second_call_does_what_is_missing_what_changed_and_what_failed(undrift, folder, words, tmp_path, monkeypatch):
     done, make = list[str](), batch._row
 
@@ -133,11 +122,3 @@ def test_what_a_folder_refuses(undrift, folder, words, tmp_path):
     assert "got an empty folder" in undrift.refused("orient", tmp_path / "empty", "-o", tmp_path / "out")
     (tmp_path / "empty" / "SOURCE.md").write_text("# Trials\n")
     assert "got 1 other files" in undrift.refused("orient", tmp_path / "empty", "-o", tmp_path / "out")
-
-
-def test_an_unexpected_error_is_a_row_too(undrift, words, tmp_path, monkeypatch):
-    from undrift.commands import orient as module
-
-    monkeypatch.setattr(module, "_answer", lambda _: [].pop())
-    undrift(*words)
-    assert rows_of(tmp_path / "out")["walk.parquet"]["result"] == "IndexError: pop from empty list"

@@ -7,12 +7,9 @@ import pytest
 
 from testkit.command_line import contents
 from testkit.data import data_path, show
-from undrift.calibration.calibrate import calibrate
 from undrift.errors import InputError
-from undrift.io.column_map import read_map
 from undrift.io.formats import read_record
 from undrift.io.session import session_from_files
-from undrift.io.store import calibration_json
 
 BOARD = (
     'sample_rate_hz = 100\nheader = false\ndelimiter = " "\ncolumns = { accel = [0, 1, 2], gyro = [3, 4, 5] }\n'
@@ -106,14 +103,3 @@ def test_a_session_states_what_the_options_would_and_stands_alone(undrift, bench
     assert "undrift info FILE --write-map map.toml to propose a map, and name the map with --map" in line
     with pytest.raises(InputError, match="expected one recording or more, got 0"):
         session_from_files([])
-
-
-def test_python_takes_what_the_command_line_takes_and_sees_the_same(undrift, board):
-    log = data_path("multipos_mpu9150", "imu0.log.gz")
-    told = undrift.good("calibrate", log, "--map", board / "board.toml", "--serial", "imu0", "--json").json()["data"]
-    record = read_record(log, read_map(board / "board.toml"))
-    made = calibrate(record, serial="imu0")
-    same(told, calibration_json(made))
-    assert made.device == "imu0"
-    assert [item.code for item in made.verdict.findings] == [item["code"] for item in told["verdict"]["findings"]]
-    assert dict(calibrate(record, gravity_m_s2=9.81).provenance.settings)["gravity"] == "stated"

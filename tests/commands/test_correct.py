@@ -57,32 +57,6 @@ def test_a_file_beside_the_output_that_is_read_is_not_written_over(undrift, benc
     assert contents(tmp_path) == before
 
 
-def test_several_recordings_go_into_a_folder_under_their_own_names(undrift, bench, tmp_path):
-    raw = read_record(bench / "trial.parquet")
-    names = ("walk.v1.csv", "walk.v2.csv.gz", "sit.parquet")
-    for name in names:
-        write_record(raw, tmp_path / name)
-    words = [*(tmp_path / name for name in names), "--calibration", bench / "calibration.json", "-o", tmp_path / "out"]
-    told = undrift.good("correct", *words, "--json").json()
-    assert [row["recording"] for row in told["tables"]["recordings"]] == list(names)
-    made = {path.name for path in (tmp_path / "out").iterdir()}
-    assert made == {"walk.v1.parquet", "walk.v2.parquet", "sit.parquet", "summary.csv"}
-    assert all(read_record(path).state == "corrected" for path in (tmp_path / "out").glob("*.parquet"))
-    before = contents(tmp_path / "out")
-    undrift.good("correct", *words)  # again: the same bytes
-    assert contents(tmp_path / "out") == before
-
-
-def test_a_recording_at_another_temperature_is_corrected_with_a_warning_on_stdout(undrift, bench, tmp_path):
-    raw = read_record(bench / "trial.parquet")
-    write_record(replace(raw, temp_c=raw.temp_c + 15.0), tmp_path / "warm.parquet")
-    answer = undrift.good(
-        "correct", tmp_path / "warm.parquet", "--calibration", bench / "calibration.json", "-o", tmp_path / "c.csv"
-    )
-    assert "verdict: marginal" in answer.out
-    assert "degC" in answer.out
-
-
 @pytest.fixture
 def tuned(bench, tmp_path):
     """The bench's calibration with a table of which the cold end is extrapolated, hysteresis and warm-up; a ramp through it."""
@@ -125,34 +99,6 @@ def test_time_outside_and_at_extrapolated_nodes_is_told_in_text_and_json(undrift
         assert any("Hysteresis" in note for note in told["notes"])
         assert any("warm-up" in note for note in told["notes"])
     assert answers[0]["findings"] == answers[1]["findings"], "streamed and at once"
-
-
-def test_signs_of_another_unit_or_column_stand_among_the_findings(undrift, tuned, tmp_path):
-    write_record(replace(tuned, gyro=None), tmp_path / "accel.parquet")
-    words = ["--calibration", tmp_path / "tuned.json", "--policy", "hold", "-o", tmp_path / "o.parquet", "--json"]
-    told = undrift.good("correct", tmp_path / "accel.parquet", *words).json()
-    (found,) = (one for one in told["findings"] if one["code"] == "correct.sensors_differ")
-    assert "no gyroscope" in found["text"]
-
-
-def test_time_without_temperature_is_told_under_every_policy_in_text_and_json(undrift, tuned, tmp_path):
-    temp = np.full(len(tuned), 27.0)
-    temp[100:300] = np.nan
-    write_record(replace(tuned, temp_c=temp), tmp_path / "gaps.parquet")
-    words = [
-        "correct",
-        tmp_path / "gaps.parquet",
-        "--calibration",
-        tmp_path / "tuned.json",
-        "-o",
-        tmp_path / "o.parquet",
-    ]
-    for policy in ("raise", "hold", "nan"):
-        told = undrift.good(*words, "--policy", policy, "--json").json()
-        assert told["data"]["samples_without_temperature"] == 200
-        assert told["data"]["seconds_without_temperature"] == pytest.approx(200 / tuned.sample_rate_hz, abs=1e-6)
-        assert told["findings"][0]["code"] == "correct.no_temperature"
-        assert np.isnan(read_record(tmp_path / "o.parquet").gyro).any(axis=1).sum() == 200
 
 
 @pytest.mark.slow

@@ -1,48 +1,26 @@
-"""undrift demo: simulate, run, calibrate, drift and correct, in a process of its own."""
+"""undrift demo: simulate, run, calibrate, drift and correct."""
 
 import errno
 import importlib
 import json
 import os
-import subprocess
-import sys
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from testkit.remembered import folder_made_once, run_folder
+from testkit.long_calls import long_call
 from undrift.io.session import read_session
 from undrift.model import Verdict
 from undrift.report import Table
 from undrift.rig.folder import disk_errors
 from undrift.study.virtual_bench import Check, bench_device, bench_plan, record_on_bench
 
-CODE = "from undrift.cli.app import main; main(['demo', '--quick', '--json', '--out', {!r}])"
-
-
-@pytest.fixture(scope="module")
-def quick(tmp_path_factory):
-    """Folder and answer of `undrift demo --quick --json`, which runs once."""
-
-    def call(folder):
-        words = [sys.executable, "-c", CODE.format(str(folder / "d"))]
-        done = subprocess.run(words, check=False, capture_output=True, text=True, timeout=900)
-        (folder / "answer.json").write_text(json.dumps([done.returncode, done.stdout, done.stderr]))
-
-    folder = folder_made_once(run_folder(tmp_path_factory), "demo", call)
-    code, out, err = json.loads((folder / "answer.json").read_text())
-    return folder / "d", SimpleNamespace(returncode=code, stdout=out, stderr=err)
-
 
 @pytest.mark.slow
-def test_the_bench_finds_the_hidden_parameters_and_the_tables_take_the_pitch_error_away(quick, capsys):
-    out, answer = quick
-    assert answer.returncode == 0, answer.stdout[-2000:] + answer.stderr[-2000:]
-    whole = json.loads(answer.stdout)
-    assert whole == json.loads((out / "summary.json").read_text())
-    told = whole["data"]
+def test_the_bench_finds_the_hidden_parameters_and_the_tables_take_the_pitch_error_away(tmp_path_factory, capsys):
+    told = json.loads((long_call(tmp_path_factory, "demo") / "out" / "summary.json").read_text())["data"]
     assert set(told) == {"calibration", "checks"}
     assert all(set(check) == {"name", "value", "limit", "pass"} for check in told["checks"])
     with capsys.disabled():

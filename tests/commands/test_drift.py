@@ -1,6 +1,5 @@
 """undrift drift: real logs as a lab reads them, made sessions, and what is refused with its number and nothing written."""
 
-import gzip
 import re
 from dataclasses import replace
 
@@ -125,9 +124,3 @@ def test_a_log_that_tells_nothing_is_refused_with_its_number(undrift, tmp_path, 
     outputs = ["-o", tmp_path / "c.json", "--report", tmp_path / "p.html"]
     assert re.search(message, undrift.refused("drift", log, *outputs))
     assert contents(tmp_path) == before
-
-
-def test_an_empty_file_named_as_gzip_is_one_line(undrift, tmp_path):
-    with gzip.open(tmp_path / "log.csv.gz", "wt") as file:
-        file.write("")
-    assert "log.csv.gz" in undrift.refused("drift", tmp_path / "log.csv.gz", "-o", tmp_path / "c.json")

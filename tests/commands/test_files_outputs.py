@@ -32,29 +32,12 @@ def test_a_folder_that_is_not_there_is_not_made_up(undrift, bench, tmp_path, com
     assert contents(tmp_path) == {}
 
 
-@pytest.mark.parametrize("command", WRITERS)
-def test_a_file_that_stands_where_a_folder_should_is_left(undrift, bench, tmp_path, command):
-    (tmp_path / "file").write_text("mine")
-    undrift.refused(*words_of(command, bench, tmp_path / "file" / f"result{WRITERS[command][1]}"))
-    assert contents(tmp_path) == {"file": b"mine"}
-
-
 @pytest.mark.parametrize("command", [command for command in WRITERS if command != "validate"])
 def test_a_folder_of_the_name_of_the_result_is_left(undrift, bench, tmp_path, command):
     output = tmp_path / f"result{WRITERS[command][1]}"
     output.mkdir()
     assert "got a folder" in undrift.refused(*words_of(command, bench, output))
     assert contents(tmp_path) == {output.name: None}
-
-
-@pytest.mark.parametrize("command", WRITERS)
-def test_a_result_replaces_the_older_one_and_leaves_no_scraps(undrift, bench, tmp_path, command):
-    output = tmp_path / f"result{WRITERS[command][1]}"
-    undrift.good(*words_of(command, bench, output))
-    first = contents(tmp_path)
-    undrift.good(*words_of(command, bench, output))
-    assert contents(tmp_path).keys() == first.keys()
-    assert not any(name.startswith(".") or ".part" in name for name in first)
 
 
 @pytest.fixture
@@ -86,23 +69,6 @@ def test_a_folder_that_may_not_be_written_is_one_line(undrift, bench, plain_user
     assert "locked" in line
     assert "ermission" in line
     assert list(locked.iterdir()) == []
-
-
-@pytest.mark.parametrize("command", ["info", "calibrate", "correct", "orient", "validate"])
-def test_a_file_that_may_not_be_read_is_one_line(undrift, bench, plain_user, command):
-    held = plain_user / "bench"
-    shutil.copytree(bench, held)
-    for path in (held, *held.rglob("*")):
-        path.chmod(0o777)
-    for name in ("session/recording_0.parquet", "trial.parquet", "corrected.parquet"):
-        (held / name).chmod(0o000)
-    if os.geteuid() == 0:
-        os.seteuid(65534)
-    words = ["info", held / "trial.parquet"]
-    if command != "info":
-        words = words_of(command, held, held / f"result{WRITERS[command][1]}")
-    assert "permissions" in undrift.refused(*words)
-    assert not list(held.glob("result*"))
 
 
 def test_a_link_to_what_is_read_is_what_is_read(undrift, bench, tmp_path):

@@ -1,7 +1,5 @@
 """undrift info --write-session and --write-map: what is written by them is used by the next command as it is."""
 
-import tomllib
-
 import numpy as np
 import pytest
 
@@ -21,12 +19,6 @@ def board(undrift, tmp_path):
     words = ("--write-map", tmp_path / "map.toml", "--sample-rate-hz", 100, "--accel-unit", "m/s2")
     undrift.good("info", data_path(*LOG), *words)
     return tmp_path
-
-
-def test_the_map_has_the_unit_of_rates_that_only_deg_per_s_can_reach(undrift, tmp_path):
-    words = ("--write-map", tmp_path / "f.toml", "--sample-rate-hz", 102.4, "--accel-unit", "m/s2")
-    undrift.good("info", data_path("ferraris_nilspod", "example_ferraris_session.csv"), *words)
-    assert tomllib.loads((tmp_path / "f.toml").read_text())["units"]["gyro"] == "dps"  # SOURCE.md
 
 
 @pytest.mark.parametrize(

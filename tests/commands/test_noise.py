@@ -5,7 +5,6 @@ import pytest
 
 from testkit.command_line import at_rest, contents
 from testkit.data import data_path, show
-from testkit.host import stamp_on_host
 from undrift.io.formats import write_record
 from undrift.record import Record
 
@@ -35,22 +34,6 @@ def test_a_board_at_rest_for_seven_minutes(undrift, tmp_path):
     assert all(len(answer["tables"][f"allan_deviation_{name}"]) > 5 for name in ("gyro", "accel"))
 
 
-def test_known_noise_is_found_in_a_named_rest(undrift, tmp_path):
-    at_rest(tmp_path, "rest.csv")
-    told = undrift.good("noise", tmp_path / "rest.csv", "--rest-s", "10:110", "--json").json()
-    accel, gyro = (told["tables"][name][0] for name in ("accelerometers", "gyroscopes"))
-    told = told["data"]
-    assert told["duration_s"] == pytest.approx(100.0, abs=0.02)
-    assert (accel["unit"], gyro["unit"]) == ("ug/sqrt(Hz)", "deg/sqrt(h)")
-    assert accel["value"] == pytest.approx(told["accel"][0]["angle_random_walk"]["value"] / 9.80665e-6)
-    walk = told["gyro"][0]["angle_random_walk"]["value"]  # 1 rad/sqrt(s) is 57.2958 deg in a 60th of a sqrt(h)
-    assert gyro["value"] == pytest.approx(60.0 * np.degrees(walk))
-    for axis in told["gyro"]:
-        low, high = axis["angle_random_walk"]["interval"]
-        # 1e-3 rad/s at 100 Hz is 1e-4 rad/s/sqrt(Hz); three intervals of 95 %, so a margin of a half-width
-        assert low - (high - low) / 2.0 < 1e-4 < high + (high - low) / 2.0
-
-
 def test_what_noise_refuses(undrift, bench, tmp_path):
     at_rest(tmp_path, "rest.csv")
     (tmp_path / "old.html").write_text("kept")
@@ -65,22 +48,6 @@ def test_what_noise_refuses(undrift, bench, tmp_path):
     assert "Create it first" in refused(tmp_path / "rest.csv", "--report", tmp_path / "none" / "a.html")
     assert "LOW below HIGH" in refused(tmp_path / "rest.csv", "--rest-s", "50:40")
     assert "LOW:HIGH" in refused(tmp_path / "rest.csv", "--rest-s", "nan")
-
-
-def test_a_recording_with_drop_outs_and_stamps_of_a_host_is_fitted_on_its_regular_clock(undrift, tmp_path):
-    rng = np.random.default_rng(6)
-    time, values = np.arange(24_000) / 100.0, 0.01 * rng.normal(size=(24_000, 3))
-    made = stamp_on_host(Record(time=time, gyro=values), rng=rng)
-    write_record(made.record, tmp_path / "host.csv")
-    refused = undrift.refused("noise", tmp_path / "host.csv")
-    assert "clock = 'regular'" in refused
-    (tmp_path / "map.toml").write_text('clock = "regular"\n')
-    words = ("noise", tmp_path / "host.csv", "--map", tmp_path / "map.toml")
-    told = undrift.good(*words, "--json").json()
-    last = told["tables"]["allan_deviation_gyro"][-1]
-    assert last["averaging time (s)"] < 60.0  # a quarter of the 240 s without gaps
-    for axis in told["data"]["gyro"]:
-        assert axis["angle_random_walk"]["value"] == pytest.approx(0.001, rel=0.05)  # 0.01 rad/s at 100 Hz
 
 
 @pytest.mark.slow

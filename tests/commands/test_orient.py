@@ -1,17 +1,12 @@
 """undrift orient: angles of corrected and of raw recordings."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from benchmarks.broad_files import broad_file
 
 from testkit.command_line import contents, row_of, warm_between
-from testkit.data import data_path, show
 from undrift.correction.correct import correct
-from undrift.findings import Verdict, finding
 from undrift.io.formats import read_record, read_reference
-from undrift.io.store import read_calibration, write_calibration
+from undrift.io.store import read_calibration
 from undrift.io.write import COLUMNS
 from undrift.orientation import orient
 
@@ -52,13 +47,6 @@ def test_the_tilt_is_stated_alike_from_a_raw_file_from_a_corrected_one_and_in_py
         sources = [size for source, size in parts.items() if source.startswith("tilt: ")]
         assert np.linalg.norm(sources) == pytest.approx(parts["tilt, all sources"])
         assert parts["tilt: calibration"] > 0.0
-
-
-def test_a_real_wearable_is_oriented(undrift, tmp_path):
-    answer = undrift.good("orient", data_path("wearable_formats", "ngimu"), "-o", tmp_path / "n.csv.gz")
-    show("ngimu", answer.out)
-    assert "499 samples" in answer.out
-    assert len(read_reference(tmp_path / "n.csv.gz")) == 499
 
 
 def test_what_orient_refuses(undrift, bench, tmp_path):
@@ -106,59 +94,3 @@ def test_no_orientation_is_carried_over_a_gap_that_the_policy_nan_left(undrift, 
     )
     assert "policy hold" in line
     assert not (tmp_path / "o.csv").exists()
-
-
-def test_quaternions_go_to_opensense(undrift, bench, tmp_path):
-    undrift.good("orient", bench / "corrected.parquet", "-o", tmp_path / "o.sto")
-    undrift.good("orient", bench / "corrected.parquet", "-o", tmp_path / "o.csv")
-    lines = (tmp_path / "o.sto").read_text().splitlines()
-    assert lines[5] == "time\tsensor_imu"
-    q = np.array([[float(cell) for cell in line.split("\t")[1].split(",")] for line in lines[6:]])
-    np.testing.assert_allclose(q, read_reference(tmp_path / "o.csv").q_nb, atol=1e-11)  # twelve digits are written
-
-
-@pytest.mark.slow
-def test_the_drift_to_expect_is_said(undrift, tmp_path):
-    trial = broad_file("05_undisturbed_slow_rotation_with_breaks_B")
-    said = undrift.good("orient", trial, "-o", tmp_path / "o.csv").out
-    assert "56 deg" in said
-    assert "--offset" in said
-
-
-def test_the_filter_is_taken_by_its_name(undrift, bench, tmp_path):
-    pytest.importorskip("vqf")
-    words = ("orient", bench / "trial.parquet", "--calibration", bench / "calibration.json", "-o", tmp_path / "o.csv")
-    told = undrift.good(*words, "--method", "vqf", "--json").json()
-    plain = undrift.good(*words, "--json").json()
-    pitch = [list(row_of(answer, "angles", "pitch").values())[1:] for answer in (told, plain)]
-    np.testing.assert_allclose(*pitch, atol=1.5)  # deg: a chair's push is no rest
-    assert told["findings"] == []
-
-
-def test_a_marginal_calibration_is_one_finding(undrift, bench, tmp_path):
-    calibration = read_calibration(bench / "calibration.json")
-    verdict = Verdict.of(finding("mount.uncertain", "warn", "The mounting is uncertain by 9 deg."))
-    write_calibration(replace(calibration, verdict=verdict), tmp_path / "c.json")
-    words = ("orient", bench / "trial.parquet", "--calibration", tmp_path / "c.json", "-o", tmp_path / "o.csv")
-    codes = [item["code"] for item in undrift.good(*words, "--json").json()["findings"]]
-    assert codes.count("calibration.verdict") == 1
-    assert "mount.uncertain" not in codes
-
-
-@pytest.mark.slow
-def test_a_worn_recording_with_another_axis_up_is_warned_of_everywhere_until_the_axes_are_given(undrift, tmp_path):
-    """A lower back with x up: the pitch by the default axes goes from -180 to 180 deg."""
-    (tmp_path / "map.toml").write_text(
-        'sample_rate_hz = 100\ncolumns = { accel = ["acc_x", "acc_y", "acc_z"], gyro = ["gyr_x", "gyr_y", "gyr_z"] }\n'
-        'units = { accel = "g", gyro = "dps" }\n'
-    )
-    rest = ["--rest-s", "0:1", "--report", tmp_path / "o.html", "-o", tmp_path / "o.csv"]
-    words = ["orient", data_path("worn_lowback", "HA_001_Test11.csv.gz"), "--map", tmp_path / "map.toml", *rest]
-    answer = undrift.good(*words)
-    assert "--up" in answer.out
-    assert "--up" in (tmp_path / "o.html").read_text()
-    told = undrift.good(*words, "--json").json()
-    (item,) = (one for one in told["findings"] if one["code"] == "orient.pitch_axes")
-    assert (item["level"], item["values"]["up"], item["values"]["forward"]) == ("warn", "+x", "z")
-    codes = [one["code"] for one in undrift.good(*words, "--up", "+x", "--forward", "-z", "--json").json()["findings"]]
-    assert "orient.pitch_axes" not in codes

@@ -1,7 +1,6 @@
 """``undrift simulate`` and ``undrift info device.json``: files out, figures said, calls refused in one line."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +9,6 @@ import pytest
 from undrift.cli.app import run
 from undrift.io.formats import read_record, read_reference
 from undrift.io.reference import write_reference
-from undrift.record import Reference
-from undrift.sim.device.model import write_device
-from undrift.sim.device.presets import preset
 from undrift.sim.motion.poses import see
 from undrift.sim.motion.tasks import draw_task
 
@@ -61,17 +57,6 @@ def test_a_truth_is_a_motion_that_is_replayed_with_its_accelerometer(tmp_path: P
     assert float(one.accel.std(axis=0).min()) > 500.0
 
 
-def test_the_truth_of_poses_without_positions_has_none(tmp_path: Path) -> None:
-    poses, truth, out = tmp_path / "poses.parquet", tmp_path / "truth.parquet", tmp_path / "r.parquet"
-    seen = see(draw_task("sit_to_stand", rng=np.random.default_rng(1)), rng=np.random.default_rng(2))
-    write_reference(replace(seen, position=None), poses)
-    typical = preset("mpu6050")
-    device = tmp_path / "device.json"
-    write_device(replace(typical, gyro=replace(typical.gyro, g_sensitivity=None)), device)  # which needs positions
-    assert run(["simulate", str(poses), "--device", str(device), "-o", str(out), "--truth", str(truth)]) == 0
-    assert read_reference(truth).position is None
-
-
 def test_poses_move_the_device_of_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     poses, device, out = tmp_path / "poses.parquet", tmp_path / "d.json", tmp_path / "r.parquet"
     write_reference(see(draw_task("sit_to_stand", rng=np.random.default_rng(1)), rng=np.random.default_rng(2)), poses)
@@ -104,17 +89,3 @@ def test_what_cannot_be_simulated_is_refused_in_one_line(
     assert message in said
     assert said.count("\n") == 1
     assert not (tmp_path / "r.csv").exists()
-
-
-def test_the_last_sample_of_poses_is_no_gap(undrift, tmp_path):
-    gaps = []
-    for begin in np.random.default_rng(0).uniform(
-        0.0, 5.0, 8
-    ):  # the last instant rounds to either side of the last pose
-        task = draw_task("step", rng=np.random.default_rng(1))
-        time = np.arange(round(task.duration_s * 120.0)) / 120.0
-        poses = Reference(time=begin + time, q_nb=task.at(time, 9.81).q_nb, position=task.position(time))
-        write_reference(poses, tmp_path / "poses.parquet")
-        words = ("simulate", tmp_path / "poses.parquet", "--device", "bmi270", "--sample-rate-hz", "120")
-        gaps.append(undrift.good(*words, "-o", tmp_path / "x.parquet", "--json").data()["gaps"])
-    assert gaps == [0] * 8

@@ -8,22 +8,16 @@ import numpy as np
 import pytest
 from benchmarks.broad_files import broad_file
 
-from testkit.command_line import warm_between
 from testkit.data import data_path, show
 from testkit.findings import only
 from testkit.hand_turns import Device, make_recording
 from testkit.plain_triad import plain_triad
-from testkit.trc_text import trc
-from undrift.correction.correct import correct
 from undrift.io.formats import read_reference, write_record
 from undrift.io.reference import write_reference
 from undrift.io.session import write_session
 from undrift.io.store import read_calibration, write_calibration
 from undrift.model import Calibration
 from undrift.record import Session
-from undrift.sim.device.presets import random_device
-from undrift.sim.device.truth import true_calibration
-from undrift.sim.sessions import simulate_trial
 
 pytestmark = pytest.mark.usefixtures("computed_once")
 
@@ -44,23 +38,6 @@ def broad(*names):
 
 def end(told):
     return told["mean"]["end_total_deg"]
-
-
-@pytest.mark.slow
-def test_broad_by_each_way_of_taking_the_offset(undrift):
-    told = {
-        offset: undrift.good("validate", *broad(*B[:3]), "--offset", offset, "--json").data()
-        for offset in ("none", "rest")
-    }
-    for offset, result in told.items():
-        show(f"BROAD B 02 05 07, offset {offset}: end error, deg", f"{end(result):.2f}")
-        assert [trial["recording"] for trial in result["trials"]] == B[:3]
-        assert all(trial.keys() >= FIGURES for trial in result["trials"])
-        assert result["mean"].keys() == result["median"].keys() >= FIGURES
-        assert result["offset"] == offset
-    assert end(told["rest"]) < end(told["none"])
-    for trial in told["rest"]["trials"]:
-        assert 3.5 < trial["lag_ms"] < 4.8  # SOURCE.md: 4.14 +- 0.04 ms
 
 
 @pytest.mark.slow
@@ -139,75 +116,6 @@ def test_clocks_further_apart_than_the_search_are_refused_by_its_option_and_foun
         assert found["mean"][key] == pytest.approx(plain["mean"][key], abs=0.05)
     line = undrift.refused(*words, bench / "reference.parquet", "--max-lag-s", 0)
     assert "--max-lag-s must be more than 0 s, got 0" in line
-
-
-@pytest.mark.parametrize(
-    ("start_s", "stop_s", "said"),
-    [
-        (
-            8.0,
-            8.01,
-            "got a gap (NaN) at 1 of 1053, the first stretch from 8 to 8 s. After a gap",
-        ),
-        (15.0, 99.0, "got a gap (NaN) at 104 of 1053, the first stretch from 15 to 16.03 s. After a gap"),
-        (0.0, 99.0, "got a gap (NaN) at 1604 of 1604, the first stretch from 0 to 16.03 s. After a gap"),
-        (
-            0.5,
-            99.0,
-            "Check that the two files belong together, or widen --max-lag-s; 97% of the samples are gaps",
-        ),
-    ],
-)
-def test_no_error_is_judged_over_a_gap_that_the_policy_nan_left(undrift, bench, tmp_path, start_s, stop_s, said):
-    corrected = tmp_path / "corrected.parquet"
-    undrift("correct", *warm_between(bench, tmp_path, start_s, stop_s), "--policy", "nan", "-o", corrected)
-    assert said in undrift.refused("validate", corrected, "--reference", bench / "reference.parquet")
-
-
-@pytest.fixture(scope="module")
-def free(tmp_path_factory):
-    """A free motion, corrected by the truth, with three markers on the board in TRC, C3D and as poses."""
-    import ezc3d
-
-    folder = tmp_path_factory.mktemp("free")
-    rng = np.random.default_rng(5)
-    device = random_device(rng)
-    trial = simulate_trial("free", device, rng=rng)
-    write_record(correct(trial.record, true_calibration(device)), folder / "free.parquet")
-    write_reference(trial.reference, folder / "poses.parquet")
-    reference = trial.reference
-    w, v = reference.q_nb[:, :1, None], reference.q_nb[:, None, 1:]
-    board = np.array([[0.06, 0.0, 0.0], [-0.04, 0.05, 0.01], [-0.03, -0.05, 0.0], [0.0, 0.02, 0.06]])[None]
-    t = 2.0 * np.cross(v, board)
-    points = board + w * t + np.cross(v, t) + (0.0 if reference.position is None else reference.position[:, None])
-    points = points - np.nanmean(points, axis=(0, 1)) + [0.0, 0.0, 1.0]
-    labels = ["M1", "M2", "M3", "M4"]
-    rate = reference.sample_rate_hz
-    y_up = np.stack((points[..., 1], points[..., 2], points[..., 0]), axis=2)  # x right, y up, z to the viewer
-    (folder / "free.trc").write_text(trc(y_up, labels, rate=rate))
-    made = ezc3d.c3d()
-    made["parameters"]["POINT"]["RATE"]["value"] = [rate]
-    made["parameters"]["POINT"]["LABELS"]["value"] = labels
-    made["parameters"]["POINT"]["UNITS"]["value"] = ["mm"]
-    held = np.ones((4, 4, len(points)))
-    held[:3] = 1000.0 * np.moveaxis(points, 2, 0).transpose(0, 2, 1)
-    made["data"]["points"] = held
-    made.write(str(folder / "free.c3d"))
-    return folder
-
-
-def test_what_a_marker_file_needs_is_asked_for_in_words_of_the_command_line(undrift, free):
-    record = free / "free.parquet"
-    assert "M1, M2, M3, M4" in undrift.refused(
-        "validate", record, "--reference", free / "free.c3d", "--reference-up", "z"
-    )
-    assert "--reference-up" in undrift.refused(
-        "validate", record, "--reference", free / "free.trc", "--markers", "M1,M2,M3"
-    )
-    line = undrift.refused(
-        "validate", record, "--reference", free / "free.trc", "--markers", "M1,M2,Q9", "--reference-up", "y"
-    )
-    assert "Q9" in line
 
 
 @pytest.mark.slow

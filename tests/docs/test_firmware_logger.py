@@ -149,11 +149,3 @@ def test_a_sketch_prints_what_needs_no_map(name: str, tmp_path: Path):
     shape = re.sub(rb"-?\d+(\.\d+)?", b"N", sketch_line(1, 1, np.zeros(3), np.zeros(3), 25.0)).rstrip()
     assert {re.sub(rb"-?\d+(\.\d+)?", b"N", line).rstrip() for line in done.stdout.splitlines()} == {shape}
     assert max(map(len, done.stdout.splitlines())) < 100
-
-
-def test_each_sketch_states_its_shape_and_its_licence():
-    for name in HEADERS:
-        text = (LOGGER / name).read_text()
-        assert "SPDX-License-Identifier: MIT" in text
-        assert "count:17,time(s):0.170012,gyro(count):-12,34,5,accel(count):120,-88,16320,temp(C):25.31" in text
-        assert len(text.splitlines()) < 80

@@ -75,27 +75,10 @@ def test_a_page_that_is_wrong_is_noticed(text: str, why: str, tmp_path: Path) ->
         pages.run_page(text + "\n", tmp_path)
 
 
-def test_an_option_that_does_not_exist_is_noticed(tmp_path: Path) -> None:
-    with pytest.raises(Exception, match="no-such"):
-        pages.run_page("<!-- parsed: a table -->\n```sh\nundrift rig stop --rig manual: --no-such 1\n```\n", tmp_path)
-
-
 def test_arrays_are_calibrated_and_corrected_in_ten_lines() -> None:
     text = re.findall(r"```python\n(.*?)```", (DOCS / "python.md").read_text(), re.S)[1]
     assert len([line for line in text.splitlines() if line.strip()]) <= 10
     assert all(word in text for word in ("from_arrays", "calibrate(", "correct("))
-
-
-def test_the_readme_is_short_and_opens_with_a_sentence_a_picture_and_three_doors() -> None:
-    text = (ROOT / "README.md").read_text()
-    assert len(text.splitlines()) <= 115
-    title, sentence, _, picture, *_ = (part for part in text.split("\n\n") if part)
-    assert title == "# undrift"
-    assert "\n" not in sentence
-    assert sentence.count(". ") == 0
-    assert picture.startswith("![")
-    assert len(pages.lines_of(pages.blocks_of(text)[0].text)) == 2
-    assert (DOCS / "readme-trial.svg").stat().st_size < 60_000
 
 
 def test_every_page_is_linked_from_the_readme_or_the_index() -> None:

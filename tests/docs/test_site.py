@@ -10,14 +10,13 @@ from typing import Any
 import pytest
 
 import undrift
-from testkit.pages import CORNERS, PRINTED_PX, SCHEMES, WIDTHS, browser, seen_in
+from testkit.pages import PRINTED_PX, SCHEMES, WIDTHS, browser, seen_in
 from testkit.remembered import folder_made_once, run_folder
 from undrift.cli.app import COMMANDS
 from undrift.sim.device.presets import SHEETS
 
 pytest.importorskip("furo")
 ROOT = Path(__file__).parents[2]
-SOME = ("tutorial", "_generated/command-calibrate")  # pictures, links and tables; generated
 
 _CUT_IN_PRINT = """() => [...document.querySelectorAll('article :is(table, pre, img, p, dd, li)')].filter(e => e.offsetParent &&
   (e.getBoundingClientRect().right > document.documentElement.clientWidth + 1 || e.scrollWidth > e.clientWidth + 8 &&
@@ -118,25 +117,6 @@ def cut_in_print(held: Any, *pages: Path) -> list[str]:
         found += [f"{page.name} in print: {what}" for what in tab.evaluate(_CUT_IN_PRINT)]
     tab.close()
     return found
-
-
-@pytest.mark.slow
-def test_pages_read_on_wide_and_narrow_screens_light_and_dark_and_on_paper(site: Path) -> None:
-    with browser() as held:
-        pages = [site / f"{name}.html" for name in SOME]
-        corners = zip(pages, CORNERS, strict=True)
-        assert [fault for page, at in corners for fault in seen_in(held, page, judged=(at,))] == []
-        assert cut_in_print(held, *pages) == []
-
-
-@pytest.mark.slow
-def test_what_is_cut_is_noticed(tmp_path: Path) -> None:
-    page = tmp_path / "wide.html"
-    page.write_text(
-        '<html lang="en"><article><pre style="overflow-x: auto">' + "word " * 60 + "</pre></article></html>"
-    )
-    with browser() as held:
-        assert cut_in_print(held, page) == ["wide.html in print: PRE word word word word word word"]
 
 
 @pytest.mark.slow

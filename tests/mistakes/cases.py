@@ -13,13 +13,13 @@ from mistakes.planting import Case
 from testkit.ferraris import ferraris_text
 from testkit.trc_text import trc
 from testkit.walking import misplaced, walk
+from undrift.commands.files import Place
 from undrift.frames import rotate
 from undrift.io.text import write_rows
 from undrift.orientation import OrientSettings
 from undrift.validation.trial import TrialSettings
 from undrift.web.bench import Bench
 from undrift.web.items import Item
-from undrift.web.place import Site
 
 GRAVITY = ("--latitude-deg", sound.LATITUDE_DEG, "--height-m", 0)
 MARKERS = ("A", "B", "C", "D")
@@ -160,7 +160,7 @@ async def _drop_files(case: Case, bench: Bench) -> Item:
 async def _calibrate_on_page(case: Case, bench: Bench) -> None:
     """Press Calibrate; the options are the latitude and the angle of the turns."""
     latitude_deg, turn_deg = (*case.options, None)[:2]
-    bench.set_place(Site(latitude_deg=latitude_deg))  # type: ignore[arg-type]
+    bench.set_place(Place(latitude_deg=latitude_deg, height_m=None if latitude_deg is None else 0.0))  # type: ignore[arg-type]
     item = await _drop_files(case, bench)
     item.turn_deg = turn_deg  # type: ignore[assignment]
     await bench.calibrate(item)

@@ -156,11 +156,12 @@ async def _use_page(case: Case, folder: Path) -> Told:
             error = bench.plain(str(refusal))
         finally:
             bench.close()
-    shown = [item.looked.findings for item in bench.items if item.looked]
-    shown += [result["findings"] for item in bench.items for result in item.results.values()]
-    texts = [(level, f"{sentence} {action}") for findings in shown for level, sentence, action in findings]
-    notes = tuple(text for level, text in texts if level == "info")
-    return Told(2 if error else 0, error, tuple(text for level, text in texts if level != "info"), notes)
+    reports = [report for item in bench.items for report in item.reports.values()]
+    findings = [item for report in reports for item in report.findings]
+    notes = [item.text for item in findings if item.level == "info"]
+    notes += [note for report in reports for note in report.notes]
+    told = tuple(item.text for item in findings if item.level != "info")
+    return Told(2 if error else 0, error, told, tuple(notes))
 
 
 def _texts(value: Any, *levels: str) -> tuple[str, ...]:

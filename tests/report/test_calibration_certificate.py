@@ -1,6 +1,5 @@
 """The certificate: shares that sum to the covariance, GTC's combination, coverage of simulated truth, the same bytes twice."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -12,9 +11,9 @@ from testkit.data import show
 from testkit.full_calibration import with_magnetometer
 from testkit.plain_triad import plain_triad
 from undrift.calibration.calibrate import calibrate
-from undrift.calibration.expanded import block_of, coverage_factors, expand
+from undrift.calibration.expanded import coverage_factors, expand
 from undrift.errors import InputError
-from undrift.io.store import calibration_text, content_hash, read_calibration, write_calibration
+from undrift.io.store import calibration_text, read_calibration
 from undrift.model import SOURCES, Budget, Calibration
 from undrift.report import Estimate
 from undrift.report.certificate import SOURCE_ROWS, certificate_report, write_certificate
@@ -70,17 +69,6 @@ def test_what_a_part_exceeds_is_not_separated() -> None:
 def test_shares_that_do_not_sum_up_are_refused(calibration: Calibration) -> None:
     with pytest.raises(InputError, match="budget: expected squares"):
         replace(calibration.accel, covariance=2.0 * calibration.accel.covariance)
-
-
-def test_the_budget_reads_back_and_older_files_are_read(calibration: Calibration, tmp_path) -> None:
-    write_calibration(calibration, tmp_path / "c.json")
-    read = read_calibration(tmp_path / "c.json")
-    assert read.gyro.budget.sources == calibration.gyro.budget.sources
-    assert (read.gyro.budget.uncertainty == calibration.gyro.budget.uncertainty).all()
-    older = json.loads((tmp_path / "c.json").read_text())
-    del older["gyro"]["budget"]
-    (tmp_path / "c.json").write_text(json.dumps(older))
-    assert read_calibration(tmp_path / "c.json").gyro.budget is None
 
 
 # ---- combination and expansion
@@ -148,11 +136,6 @@ def test_the_same_calibration_gives_the_same_bytes(calibration: Calibration, tmp
     assert (tmp_path / "b.html").read_bytes() == first
     page(replace(calibration, device="another"), tmp_path / "b.html")
     assert (tmp_path / "b.html").read_bytes() != first
-
-
-def test_the_hash_follows_the_content_alone(calibration: Calibration) -> None:
-    assert content_hash(calibration) == content_hash(replace(calibration))
-    assert content_hash(calibration) != content_hash(replace(calibration, gravity_m_s2=9.81))
 
 
 def page(calibration, path):
@@ -230,10 +213,6 @@ def test_what_has_no_covariance_is_refused(calibration: Calibration) -> None:
 )
 def test_values_are_rounded_to_their_uncertainty(value: float, uncertainty: float, shown: str) -> None:
     assert str(Estimate(value, uncertainty)) == shown
-
-
-def test_parameters_fall_into_blocks() -> None:
-    assert [block_of(name) for name in ("m_xx", "m_xy", "offset_z", "g_xy")] == ["scale", "cross", "offset", "g"]
 
 
 def test_turns_by_hand_keep_their_shares(tmp_path) -> None:

@@ -5,7 +5,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from matplotlib.colors import to_hex
 
 from testkit.pictures import cut_texts
 from undrift.drift.fit import fit_drift
@@ -82,17 +81,3 @@ def test_every_picture_names_what_it_shows_and_is_the_same_twice(name):
         assert word in text, word
     assert text == svg_of(DRAWN[name]())
     assert cut_texts(DRAWN[name]()) == []
-
-
-def test_an_axis_that_was_not_turned_is_not_drawn():
-    labels = [axes.get_ylabel()[0] for axes in DRAWN["dynamic"]().axes]
-    assert labels == ["x", "z"]
-
-
-def test_the_legend_s_soaks_have_the_colour_of_those_in_every_panel():
-    figure = draw_scale(soaked().scale)
-    drawn = {line.get_color() for axes in figure.axes for line in axes.lines if line.get_marker() == "o"}
-    legend = figure.legends[0]
-    named = dict(zip([text.get_text() for text in legend.get_texts()], legend.legend_handles, strict=True))
-    assert len(drawn) == 1
-    assert to_hex(named["soaks, 95 %"].get_color()[0]) in {to_hex(colour) for colour in drawn}

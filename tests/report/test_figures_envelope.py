@@ -18,22 +18,6 @@ def test_a_peak_of_one_sample_is_drawn_at_its_time():
     assert (np.diff(drawn_time) > 0.0).all()
 
 
-def test_every_column_keeps_its_least_and_its_largest():
-    rng = np.random.default_rng(1)
-    course = rng.normal(size=10_000)
-    drawn_time, drawn = envelope(np.arange(10_000.0), course, columns=100)
-    for k, part in enumerate(course.reshape(100, 100)):
-        inside = drawn[(drawn_time >= 100 * k) & (drawn_time < 100 * (k + 1))]
-        np.testing.assert_array_equal(np.sort(inside), [part.min(), part.max()])
-
-
-def test_a_short_course_is_drawn_as_it_is():
-    time, course = np.arange(400.0), np.random.default_rng(2).normal(size=400)
-    drawn_time, drawn = envelope(time, course, columns=200)
-    assert drawn_time is time
-    assert drawn is course
-
-
 def test_no_line_crosses_a_gap_however_short():
     time = np.arange(10_000.0)
     course = np.cos(time / 500.0)
@@ -47,18 +31,3 @@ def test_no_line_crosses_a_gap_however_short():
     assert np.isfinite(drawn[(drawn_time > 4_500.0) & (drawn_time < 5_900.0)]).all()
     seen = np.isfinite(drawn)
     assert set(drawn[seen]) <= set(course)
-
-
-def test_what_is_seen_between_two_gaps_is_drawn():
-    course = np.full(10_000, np.nan)
-    course[4_320:4_324] = [1.0, 3.0, 9.0, 2.0]
-    _, drawn = envelope(np.arange(10_000.0), course, columns=10)
-    seen = drawn[np.isfinite(drawn)]
-    np.testing.assert_array_equal(seen, [1.0, 9.0, 2.0])
-    assert np.isnan(drawn[0])
-    assert np.isnan(drawn[-1])
-
-
-def test_nothing_but_gaps_stays_nothing_but_gaps():
-    _, drawn = envelope(np.arange(10_000.0), np.full(10_000, np.nan), columns=100)
-    assert np.isnan(drawn).all()

@@ -72,18 +72,6 @@ def test_gaps_and_saturation_are_marked_with_numbers():
         assert label in text, label
 
 
-def test_recordings_of_a_session_stand_one_after_the_other():
-    rng = np.random.default_rng(3)
-    rest = [
-        Record(time=np.arange(500) / 50.0, accel=[0.0, s * 9.81, 0.0] + 0.01 * rng.standard_normal((500, 3)))
-        for s in (1, -1)
-    ]
-    pieces, text = drawn(session_of(*rest))
-    assert [(piece.recording, piece.label) for piece in pieces] == [(0, "+y"), (1, "-y")]
-    assert "time (s), recordings one after the other" in text
-    assert "gyro" not in text
-
-
 @pytest.mark.parametrize(
     ("turn", "label", "why"),
     [

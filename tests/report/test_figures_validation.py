@@ -17,8 +17,6 @@ from undrift.validation.expected import Expected
 from undrift.validation.levels import LevelTrial, judge_levels
 from undrift.validation.trial import TrialSettings
 
-MADE = true_calibration(random_device(np.random.default_rng(2)))
-
 
 @pytest.fixture(scope="module")
 def pairs():
@@ -75,36 +73,6 @@ def test_every_number_of_the_table_is_a_field_of_the_result(result):
     for row, errors in zip(table.rows, figures, strict=True):
         assert list(row[1:-2]) == [getattr(errors, key) for key in ERRORS.values()]
         assert row[-2:] == (100.0 * errors.pitch_defined, 100.0 * errors.valid_optics)
-
-
-def test_each_recording_is_shown_with_its_reference_its_lag_and_its_mounting(result, validated):
-    (table,) = [table for table in report_of(validated).details if table.title == "Recordings"]
-    for row, trial, name in zip(table.records(), result.trials, ("a.trc", "b.trc", "the same file"), strict=True):
-        assert row["reference"] == name
-        assert row["lag (ms)"]["value"] == pytest.approx(trial.figures.lag_ms)
-        assert row["in the errors"] is not trial.lag_undone
-        assert row["mounting (deg)"] is None
-
-
-@pytest.mark.parametrize(
-    ("changed", "words"),
-    [
-        ({}, "deg raw (rms over the motion, median of 3 recordings)."),
-        ({"calibration": MADE, "source": "c.json"}, " deg calibrated with c.json (rms over"),
-        ({"calibration": MADE}, " deg calibrated with these same recordings (rms over"),
-    ],
-)
-def test_the_answer_says_the_error_before_and_after(validated, changed, words):
-    answer = report_of(replace(validated, **changed)).answer
-    assert answer.startswith("Pitch error ")
-    assert words in answer
-
-
-@pytest.mark.parametrize(("align", "words"), [("auto", "is removed if it exceeds 5 deg."), ("level", "is removed.")])
-def test_the_page_says_what_became_of_the_mounting(validated, align, words):
-    validated = replace(validated, settings=TrialSettings(align=align))
-    (method,) = [table for table in report_of(validated).details if table.title == "Method"]
-    assert f"between device and reference {words}" in method.note
 
 
 def test_a_peak_in_the_table_is_a_peak_in_the_figure(result):

@@ -2,14 +2,14 @@
 
 import json
 import shlex
-from itertools import cycle, product
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from testkit.demo_session import demo_session
-from testkit.pages import CORNERS, SCHEMES, WIDTHS, browser, faults_of, seen_in
+from testkit.pages import CORNERS, browser, faults_of, seen_in
 from testkit.pictures import pictures_looked_at
 from testkit.remembered import folder_made_once, run_folder
 from undrift.cli.app import run
@@ -18,7 +18,6 @@ from undrift.io.formats import write_record
 from undrift.io.reference import write_reference
 from undrift.io.session import write_session
 from undrift.record import Record
-from undrift.report.figures import AXIS_COLOURS, AXIS_DASHES, AXIS_MARKERS, COMPARED_COLOURS, COMPARED_MARKERS
 from undrift.report.page import Origin, write_report
 from undrift.report.report import Report
 from undrift.rig.folder import RecordedDwell
@@ -103,29 +102,3 @@ def test_every_page_reads_on_wide_and_narrow_screens_light_and_dark_and_on_paper
     with browser() as held:  # the style is one: a page is judged at one of the corners
         corners = zip(NAMES, cycle(CORNERS), strict=False)
         assert [fault for name, at in corners for fault in seen_in(held, pages / f"{name}.html", judged=(at,))] == []
-
-
-@pytest.mark.slow
-def test_every_page_reads_at_each_width_and_in_each_scheme(pages: Path) -> None:
-    with browser() as held:
-        every = tuple(product(WIDTHS, SCHEMES))
-        assert [fault for name in NAMES for fault in seen_in(held, pages / f"{name}.html", judged=every)] == []
-
-
-def as_deuteranope(colour: str) -> np.ndarray:
-    """Return the CIE L*a*b* of a colour as a deuteranope sees it (Machado, Oliveira and Fernandes 2009, severity 1)."""
-    srgb = np.array([int(colour[k : k + 2], 16) / 255.0 for k in (1, 3, 5)])
-    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-    seen = np.array([[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.01182, 0.04294, 0.968881]])
-    xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]) @ (seen @ linear)
-    f = np.cbrt(np.clip(xyz / np.array([0.9505, 1.0, 1.089]), 1e-9, None))
-    return np.array([116.0 * f[1] - 16.0, 500.0 * (f[0] - f[1]), 200.0 * (f[1] - f[2])])
-
-
-def test_axes_differ_without_red_and_green_and_without_any_colour() -> None:
-    seen = [as_deuteranope(colour) for colour in AXIS_COLOURS]
-    apart = min(float(np.linalg.norm(seen[j] - seen[k])) for j, k in ((0, 1), (0, 2), (1, 2)))
-    assert apart > 20.0  # just noticeable: 2.3
-    for marks in (AXIS_DASHES, AXIS_MARKERS, COMPARED_MARKERS):
-        assert len(set(marks)) == len(marks)
-    assert len(COMPARED_MARKERS) == len(COMPARED_COLOURS)

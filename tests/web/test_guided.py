@@ -5,10 +5,10 @@ import asyncio
 import pytest
 
 from testkit.guided import HandFeed
+from undrift.commands.files import Place
 from undrift.io.session import read_session
 from undrift.web import guided as module
 from undrift.web.bench import Bench, ServerSettings
-from undrift.web.place import place_of
 
 
 class Fed:
@@ -70,7 +70,7 @@ def test_each_recording_has_a_folder_of_its_own_and_the_next_bench_lists_those_w
 
 
 def test_what_is_captured_is_written_at_once_with_the_gravity_of_the_place(bench, feed):
-    bench.set_place(place_of("52.0", "40"))
+    bench.set_place(Place(latitude_deg=52.0, height_m=40.0))
     guided = begun(bench, feed)
     step(guided, feed, 12.0)
     session = read_session(guided.item.path)

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from PIL import Image, ImageOps
-from playwright.sync_api import BrowserContext, Page, expect
+from playwright.sync_api import BrowserContext, FrameLocator, Page, expect
 
 from testkit.bench import BenchServer, bench_process
 
@@ -82,6 +82,11 @@ class Person:
         """Choose a file, which takes two clicks."""
         self.page.locator("input[type=file]").set_input_files(path)
         self.clicks += 2
+
+
+def report(page: Page) -> FrameLocator:
+    """Return the report that a page shows."""
+    return page.frame_locator("iframe")
 
 
 def shoot(page: Page, name: str) -> None:

@@ -13,7 +13,7 @@ from playwright.sync_api import Page, expect
 import undrift
 from testkit.bench import BenchServer
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
-from web_browser.conftest import COMMAND_MS, Person, faults_of, picture, shoot, wide_and_narrow
+from web_browser.conftest import COMMAND_MS, Person, faults_of, picture, report, shoot, wide_and_narrow
 
 CLICKS = 8  # at most
 
@@ -44,14 +44,14 @@ def test_from_the_zip_of_a_phone_to_a_corrected_file(
     faults += faults_of(page)
     picture(page, "readings")
     person.drop(phone_zip(tmp_path))
-    expect(page.locator(".proof")).to_contain_text("At rest: acceleration 1.0", timeout=COMMAND_MS)
+    expect(report(page).locator("body")).to_contain_text("acceleration at rest", timeout=COMMAND_MS)
     shoot(page, f"phone-checked-{width}")
     picture(page, "check")
     faults += faults_of(page)
     person.click("Calibrate the device from it")
     expect(page.get_by_label("Serial number")).to_have_value("phone")
     person.click("Calibrate")
-    expect(page.locator(".verdict")).to_contain_text("Verdict:", timeout=COMMAND_MS)
+    expect(report(page).locator(".verdict")).to_contain_text("Verdict:", timeout=COMMAND_MS)
     shoot(page, f"phone-calibrated-{width}")
     faults += faults_of(page)
     person.click("Correct recordings with it")
@@ -92,16 +92,12 @@ def test_columns_and_units_of_a_table_prove_themselves(
     choose(page, "Unit of the gyroscopes", "dps")
     choose(page, "Unit of the accelerometers", "m/s2")
     person.click(read)
-    expect(page.locator(".proof")).to_contain_text(
-        "Gravity is 1.00 g: check the columns and the unit", timeout=COMMAND_MS
-    )
+    expect(report(page).locator("body")).to_contain_text("units.accel", timeout=COMMAND_MS)
     person.click('Expand "Columns and units"')
     choose(page, "Unit of the accelerometers", "g")
     person.click(read)
-    expect(page.locator(".proof")).to_have_text(
-        "At rest: acceleration 1.00 g, turn rate 0.01 deg/s.", timeout=COMMAND_MS
-    )
-    expect(page.locator(".found")).to_have_text("100.0 s: 12 rests on 6 faces, 11 turns.")
+    expect(report(page).get_by_role("row", name="acceleration at rest 1 g")).to_be_visible(timeout=COMMAND_MS)
+    expect(report(page).get_by_role("row", name="still phases")).to_contain_text("12")
     assert faults_of(page) == []
     assert person.complaints == []
     assert len(list(bench_server.folder.glob("uploads/*/map.toml"))) == 1

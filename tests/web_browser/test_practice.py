@@ -15,7 +15,7 @@ from testkit.guided import accel_as_six_faces_see_it, joint_factor
 from undrift.io.store import read_calibration
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration
-from web_browser.conftest import COMMAND_MS, Person, faults_of, picture, shoot
+from web_browser.conftest import COMMAND_MS, Person, faults_of, picture, report, shoot
 
 SEED = 2007  # of the practice device, as bench_process states it
 LONGEST_S = 300.0
@@ -49,14 +49,14 @@ def test_from_six_faces_to_a_certificate_with_a_reload_and_a_kill(
     faults += faults_of(page)
     person.click("Continue to the calibration")
     person.click("Calibrate")
-    expect(page.locator(".verdict")).to_have_text("Verdict: marginal", timeout=COMMAND_MS)
-    expect(page.locator(".finding").first).to_contain_text("tandard gravity")
+    expect(report(page).locator(".verdict h2")).to_have_text("Verdict: marginal", timeout=COMMAND_MS)
+    expect(report(page).locator(".verdict li").first).to_contain_text("tandard gravity")
     page.get_by_role("button", name="Place").click()
     page.get_by_label("Or gravity, m/s2").fill("9.80665")  # of the practice device
     person.click("Keep the place")
     expect(page.get_by_text("Place: gravity 9.806", exact=False)).to_be_visible()
     person.click("Calibrate")
-    expect(page.locator(".verdict")).to_have_text("Verdict: good", timeout=COMMAND_MS)
+    expect(report(page).locator(".verdict h2")).to_have_text("Verdict: good", timeout=COMMAND_MS)
     picture(page, "result")
     faults += faults_of(page)
     page.get_by_role("button", name="Certificate").click()
@@ -72,7 +72,7 @@ def test_from_six_faces_to_a_certificate_with_a_reload_and_a_kill(
     bench_server.process.join()
     with bench_process(bench_server.folder) as again:
         page.goto(again.address)
-        expect(page.locator(".verdict")).to_have_text("Verdict: good", timeout=COMMAND_MS)
+        expect(report(page).locator(".verdict h2")).to_have_text("Verdict: good", timeout=COMMAND_MS)
         shoot(page, "practice-after-a-kill-1280")
 
 

@@ -29,26 +29,11 @@ if TYPE_CHECKING:
     from cyclopts.help import HelpPanel
     from cyclopts.help.protocols import HelpFormatter
 
-FUNCTIONS = {
-    "calibrate": "calibrate:calibrate",
-    "certificate": "certificate:certificate",
-    "drift": "drift:drift",
-    "info": "info:info",
-    "noise": "noise:noise",
-    "twin": "twin:twin",
-    "mount": "mount:mount",
-    "export": "export:export",
-    "sample": "sample:sample",
-    "orient": "orient:orient",
-    "validate": "validate:validate",
-    "correct": "correct:correct",
-    "simulate": "simulate:simulate",
-    "study": "study:study",
-    "demo": "demo:demo",
-    "record": "record:record",
+FUNCTIONS = {  # the module and the function of each command
+    **{name: f"{name}:{name}" for name in COMMANDS if name != "rig"},
     "bench": "open_bench:bench",
     **{f"rig {name}": f"rig:{name}" for name in ("run", "stop", "check")},
-}  # the module and the function of each command
+}
 DISPLAY = Group("Display", sort_key=99)
 
 

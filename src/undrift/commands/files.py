@@ -35,7 +35,7 @@ from undrift.io.mocap import pose_from_cluster
 from undrift.io.reference import ReferenceMap, read_reference_map
 from undrift.io.session import NAME, SessionFile, files_of, gravity_of, read_session, session_from_files
 from undrift.model import BodyMounting, Calibration
-from undrift.record import FileMap, Kind, Record, Reference, Session, Still
+from undrift.record import FileMap, GravitySource, Kind, Record, Reference, Session, Still
 from undrift.report.page import Origin
 from undrift.report.report import plain
 from undrift.sim.device.model import DeviceModel, read_device
@@ -217,6 +217,11 @@ class Place:
     height_m: float | None = None
     serial: str = ""
 
+    @property
+    def gravity(self) -> tuple[float, GravitySource]:
+        """Return local gravity, m/s2, and its source."""
+        return gravity_of(self.gravity_m_s2, self.latitude_deg, self.height_m)
+
 
 # ---- sessions
 
@@ -253,6 +258,11 @@ def session_of(files: tuple[Path, ...], place: Place, opening: Opening, *, kind:
         gravity_m_s2, source = gravity_of(place.gravity_m_s2, latitude_deg, place.height_m)
         session = replace(session, gravity_m_s2=gravity_m_s2, gravity_source=source)
     return session
+
+
+def states_gravity(path: Path) -> bool:
+    """Return True if a session.toml states local gravity."""
+    return read_session(path).gravity_source != "standard"
 
 
 def thermal_session(path: Path, opening: Opening, model: Calibration | None) -> Session:

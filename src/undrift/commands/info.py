@@ -1,8 +1,12 @@
 """``undrift info``: the content of a file: rates, units, spans, gaps, stills, problems, and the map it needs."""
 
+import tomllib
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from undrift.base.options import Files, Up, WrittenPath
 from undrift.calibration.calibrate import find_pieces
@@ -19,18 +23,20 @@ from undrift.io.inspect import Description, describe, describe_poses
 from undrift.io.reference import read_reference_map
 from undrift.io.session import NAME, session_text
 from undrift.io.store import read_calibration
-from undrift.model import Calibration, DriftTables
-from undrift.mounting import statement_of
 from undrift.record import Session
 from undrift.report import Report, Table
-from undrift.report.calibration import draw_calibration
+from undrift.report.calibration import calibration_report
 from undrift.report.figures import draw_recording
 from undrift.report.report import Cell
 from undrift.screen import progress, reading
 from undrift.sim.device.effects import effects_of
 from undrift.sim.device.model import read_device
-from undrift.units import RADIAN_PER_DEGREE
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, is_physical, si_factor
 
+AT_REST: tuple[tuple[str, Quantity, str, str, float], ...] = (
+    ("accel", "accel", "acceleration at rest", "g", STANDARD_GRAVITY),
+    ("gyro", "rate", "turn rate at rest", "deg/s", RADIAN_PER_DEGREE),
+)
 POSES = 9  # still phases of a recording that may calibrate a device
 DATA = (
     "kind",
@@ -90,7 +96,45 @@ def info(
     check_output(write_map, endings=(".toml",), reads=(file, opening.column_map))
     with reading(0.8, file):
         description, opening = _describe(file, opening, reference_up)
-    return _content(description, opening) if write_map is None else _write_map(description, write_map, units, opening)
+    return content(description, opening) if write_map is None else _write_map(description, write_map, units, opening)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Looked:
+    """The content of a file, for the page of the bench."""
+
+    kind: str
+    summary: str
+    serial: str
+    columns: tuple[str, ...]
+    missing: str  # what a reader asks for: sample_rate_hz, sensor, or ""
+    draft: dict[str, Any]  # map that a table of foreign names seems to need
+    reasons: dict[str, str]  # why a unit is proposed
+    report: Report
+
+
+def look_at(path: Path, opening: Opening) -> Looked:
+    """Return the content of a file."""
+    progress(f"reading {path.name}", 0.1)
+    described = describe(path, opening.how(path))
+    progress("looking for rests and turns", 0.6)
+    serial = "" if described.session is None else described.session.records[0].device
+    if described.kind == "calibration":
+        serial = read_calibration(path).device
+    missing = [item.values["missing"] for item in described.findings if item.code == "recording.not_read"]
+    proposal = described.proposal if described.kind == "table" else None
+    return Looked(
+        kind=described.kind,
+        summary="readings without time"
+        if "sample_rate_hz" in missing
+        else described.summary.partition("; needs a map")[0],
+        serial=serial,
+        columns=described.columns,
+        missing=str(missing[0]) if missing else "",
+        draft={} if proposal is None else tomllib.loads("\n".join(proposal.lines()).replace("= ?", '= "?"')),
+        reasons={} if proposal is None else dict(proposal.reasons),
+        report=content(described, opening),
+    )
 
 
 def _describe(file: Path, opening: Opening, up: Up) -> tuple[Description, Opening]:
@@ -101,52 +145,44 @@ def _describe(file: Path, opening: Opening, up: Up) -> tuple[Description, Openin
     return describe(file, opening.how(file), up=up), opening
 
 
-def _content(description: Description, opening: Opening) -> Report:
-    """Return what a file holds."""
+def content(description: Description, opening: Opening) -> Report:
+    """Return the content of a file."""
     path, session = Path(description.path), description.session
+    answer = f"{path} ({description.kind}, {description.format}): {description.summary}"
+    data = {name: getattr(description, name) for name in DATA}
+    data |= {"units": dict(description.units), "summary": description.summary, "map": description.example}
+    if description.kind == "calibration":
+        report = calibration_report(read_calibration(path))
+        return replace(report, title=f"What {path.name} holds", answer=f"{answer}. {report.answer}", data=data)
     findings, notes, figures, tables = list(_named(description)), list[str](), [], list[Table]()
     details = [Table(title="Columns", columns=("column",), rows=[(name,) for name in description.columns])]
-    stills = list[tuple[float, float]]()
+    stills, at_rest = list[tuple[float, float]](), list[tuple[str, Cell, str]]()
     if session is not None:
         findings += [entry for record in session.records if (entry := find_disagreement(record)) is not None]
         observed, reason = _look(session)
         notes += [reason] if reason else []
         rows = [] if observed is None else _stills(session, observed)
+        at_rest = [] if observed is None else _at_rest(observed)
         stills = [(start, stop) for _, start, stop in rows]
         details.append(
             Table(title="Still phases", columns=("recording", "start (s)", "stop (s)"), rows=rows, form=".2f")
         )
         pieces = () if observed is None else pieces_of(observed)
         figures.append(lambda: draw_recording(session.records, pieces, title=f"{path.name}: found"))
-    tables.append(_facts(description, len(stills)))
+    tables.append(_facts(description, len(stills), at_rest))
     if description.example:
         tables.append(_proposal(description))
     if description.kind == "device":
         tables.append(_device(path))
-    if description.kind == "calibration":
-        calibration = read_calibration(path)
-        findings += calibration.verdict.findings
-        tables += [_parts(calibration), *([] if calibration.drift is None else [_ranges(calibration.drift)])]
-        figures.append(lambda: draw_calibration(calibration))
-    problems = [finding for finding in findings if finding.level != "info"]
-    if description.kind != "calibration":
-        notes = [*(finding.text for finding in findings if finding.level == "info"), *notes]
     return Report(
         title=f"What {path.name} holds",
-        answer=f"{path} ({description.kind}, {description.format}): {description.summary}",
+        answer=answer,
         tables=tables,
         details=details,
-        notes=notes,
-        findings=findings if description.kind == "calibration" else problems,
-        judged=description.kind == "calibration",
+        notes=[*(finding.text for finding in findings if finding.level == "info"), *notes],
+        findings=[finding for finding in findings if finding.level != "info"],
         figures=figures,
-        data={name: getattr(description, name) for name in DATA}
-        | {
-            "units": dict(description.units),
-            "stills": stills,
-            "summary": description.summary,
-            "map": description.example,
-        },
+        data=data | {"stills": stills},
         next_command=_next_command(description, len(stills), opening),
     )
 
@@ -160,13 +196,14 @@ def _named(description: Description) -> Iterator[Finding]:
             yield finding
 
 
-def _facts(description: Description, stills: int) -> Table:
+def _facts(description: Description, stills: int, at_rest: list[tuple[str, Cell, str]]) -> Table:
     rows: list[tuple[str, Cell, str]] = [
         ("samples", description.rows, ""),
         ("sample rate", description.sample_rate_hz, "Hz"),
         ("duration", description.duration_s, "s"),
         ("gaps", description.gaps or None, "samples"),
         ("still phases", stills or None, ""),
+        *at_rest,
     ]
     if description.temp_c is not None:
         low, high = description.temp_c
@@ -177,6 +214,22 @@ def _facts(description: Description, stills: int) -> Table:
         units = dict.fromkeys(("gyro", "accel"), "no readings") | units
     rows += [(f"unit of {channel}", unit, "") for channel, unit in units.items()]
     return Table(title="Content", columns=("what", "value", "unit"), rows=rows, form=".6g")
+
+
+def _at_rest(observed: Observed) -> list[tuple[str, Cell, str]]:
+    """Return the median size of the readings at rest. If columns and units are right, it is 1 g and nearly no rate."""
+    rows = list[tuple[str, Cell, str]]()
+    for name, quantity, label, unit, size in AT_REST:
+        means = list[float]()
+        for still in observed.stills:
+            record = observed.session.records[still.recording]
+            values, raw_unit = getattr(record, name), getattr(record, f"{name}_unit")
+            if values is not None and is_physical(raw_unit):
+                mean = values[still.start : still.stop].mean(axis=0) * si_factor(raw_unit, quantity)
+                means.append(float(np.linalg.norm(mean)) / size)
+        if means:
+            rows.append((label, float(f"{np.median(means):.3g}"), unit))
+    return rows
 
 
 def _stills(session: Session, observed: Observed) -> list[tuple[int, float, float]]:
@@ -220,42 +273,6 @@ def _device(file: Path) -> Table:
     rows = [(name, effect) for name in ("gyro", "accel") for effect in effects_of(getattr(device, name))]
     rows += [(name, f"reading in {getattr(device, name).unit}") for name in ("gyro", "accel")]
     return Table(title="Device model", columns=("part", "effect"), rows=[*rows, ("source", device.source_tag)])
-
-
-def _parts(calibration: Calibration) -> Table:
-    rows: list[tuple[str, Cell]] = []
-    for name, model in (("gyro", calibration.gyro), ("accel", calibration.accel)):
-        fit = "no model" if model is None else f"{model.method}, {model.unit_in} to {model.unit_out}"
-        rows.append((name, fit + (", g-sensitivity" if model is not None and model.g_sensitivity is not None else "")))
-    rows.append(("reference temperature (degC)", calibration.reference_temp_c))
-    if calibration.mounting is not None:
-        rows.append(("mounting", statement_of(calibration.mounting)))
-    drift = calibration.drift
-    if drift is not None and drift.static is not None and drift.static.warm_up is not None:
-        rows.append(("warm-up (s)", float(drift.static.warm_up.power_on_s[-1])))
-    if drift is not None and drift.lag_s > 0.0:
-        rows.append(("thermometer lag (s)", drift.lag_s))
-    return Table(title="Parts", columns=("part", "content"), rows=rows, form=".2f")
-
-
-def _ranges(drift: DriftTables) -> Table:
-    """Return the temperatures of each table."""
-    parts = [
-        (f"{part} of the {name}", table.temp_c, len(values), getattr(table, f"{name}_extrapolated"))
-        for part, table in (("offset", drift.static), ("matrix", drift.scale))
-        for name in ("gyro", "accel")
-        if table is not None and (values := getattr(table, f"{name}_{part}")) is not None
-    ]
-    if (dynamic := drift.dynamic) is not None:
-        low, high = dynamic.turn_rate[[0, -1]] / RADIAN_PER_DEGREE
-        part = f"error of the gyro over {low:.0f} to {high:.0f} deg/s"
-        parts.append((part, dynamic.temp_c, dynamic.error.size // 3, dynamic.extrapolated))
-    rows = [
-        (part, float(temp_c[0]), float(temp_c[-1]), nodes, 0 if far is None else int(far.sum()))
-        for part, temp_c, nodes, far in parts
-    ]
-    columns = ("table", "from (degC)", "to (degC)", "nodes", "extrapolated")
-    return Table(title="Tables over temperature", columns=columns, rows=rows, form=".2f")
 
 
 def _next_command(description: Description, stills: int, opening: Opening) -> tuple[object, ...]:

@@ -24,7 +24,6 @@ from undrift.commands.files import Place, check_output
 from undrift.errors import InputError, LinkError, UndriftError
 from undrift.io.column_map import ColumnMap
 from undrift.io.formats import read_record
-from undrift.io.session import gravity_of
 from undrift.io.write import write_record_as
 from undrift.live.log import described_address
 from undrift.live.transports import serial_ports
@@ -286,7 +285,7 @@ def _line(status: Status, newest: Record | None) -> str:
 
 def _guides(name: str | None, folder: Path, place: Place) -> Guides:
     """Return the guides of a calibration by hand, which share their captures."""
-    gravity, source = gravity_of(place.gravity_m_s2, place.latitude_deg, place.height_m)
+    gravity, source = place.gravity
     capture = Capture(folder, place.serial, gravity_m_s2=None if source == "standard" else gravity)
     kinds = {"six-faces": (SixFaces,), "turns": (SixFaces, Turns), "poses": (Poses,)}
     return [kind(capture) for kind in kinds.get(name or "", ())]

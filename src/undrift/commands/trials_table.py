@@ -11,16 +11,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
-from undrift import __version__
 from undrift.base.options import Side
 from undrift.commands.files import Opening, Optics, worn_by
 from undrift.errors import InputError, UndriftError
 from undrift.files import read_bytes
-from undrift.findings import Finding
 from undrift.io.store import read_calibration
 from undrift.report import Report, Table
 from undrift.report.figures import draw_level_errors
-from undrift.report.levels import TRIAL, label_of, level_details, level_tables, levels_json
+from undrift.report.validation import TRIAL, label_of, level_details, level_tables, levels_json
 from undrift.screen import part, progress
 from undrift.validation.levels import LevelTable, LevelTrial, calibrate_by_others, judge_levels
 from undrift.validation.trial import TrialSettings
@@ -47,15 +45,13 @@ def validate_people(
     trials = calibrate_by_others(trials, settings)
     with part(0.4, 1.0):
         levels = judge_levels(trials, settings=settings, methods=("strapdown", "vqf"), progress=progress)
-    methods = _methods(levels)
     report = Report(
         title=f"Validation of people: {folder.resolve().name}",
         answer=_answer(levels),
         tables=level_tables(levels),
-        details=[*level_details(levels), *_warnings(levels), Table(title="Methods, to cite", note=methods)],
-        findings=list[Finding](),
+        details=[*level_details(levels), *_warnings(levels)],
         figures=[lambda: draw_level_errors(levels)],
-        data=levels_json(levels) | {"methods": methods},
+        data=levels_json(levels),
     )
     files = (table, *(table.parent / row[column] for row in rows for column in FILES if row[column]))
     return report, tuple(dict.fromkeys(files))
@@ -83,28 +79,6 @@ def _warnings(table: LevelTable) -> list[Table]:
             rows.setdefault((recording, item.code), (Path(recording).name, errors.level, item.text))
     columns = ("recording", "level", "warning")
     return [Table(title="Warnings", columns=columns, rows=list(rows.values()))] if rows else []
-
-
-def _methods(table: LevelTable) -> str:
-    """Return a paragraph about the methods, for a paper."""
-    people, tasks, devices = (len({getattr(trial, name) for trial in table.trials}) for name in TRIAL[1:])
-    left_out = sum(trial.left_out or trial.calibration is None for trial in table.trials)
-    count = len(table.trials) - left_out
-    calibrated = f"{count} recordings were corrected with an earlier calibration of their device"
-    if left_out:
-        calibrated += f", {left_out} with a fit to the other recordings of their device (leave-one-out)"
-    return (
-        f"{len(table.trials)} recordings of {people} people in {tasks} tasks with {devices} inertial sensors were "
-        f"compared with optical motion capture by undrift {__version__}. {calibrated}. The offset of the gyroscopes was "
-        "taken from the calibration, from the first rest, or from gravity during the motion. Orientation was integrated "
-        "from the gyroscopes (strapdown, started from the rest before the motion) or estimated with VQF (offline, "
-        "without magnetometer). Lags between the clocks of more than 10 ms were removed before the comparison. Errors "
-        f"are root mean squares over the motion of each trial ({table.quantity}), averaged by person. Means over people "
-        "have Student's 95 % interval. Paired differences are judged against a margin of "
-        f"{table.margin_deg:g} deg with a two-sided t test and two one-sided t tests, with Bonferroni's correction. "
-        "Agreement on the range of pitch, one mean per person, is given by Bland and Altman's 95 % limits and ICC(2,1) "
-        "with its 95 % interval."
-    )
 
 
 # ---- the table of trials

@@ -58,7 +58,7 @@ Table = TypeVar("Table", bound="TomlTable")
 class TomlTable(BaseModel):
     """A table of a file: unknown keys are an error, and no value is converted."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, defer_build=True)
 
     def but(self, **values: Any) -> Self:
         """Return a copy with other values."""
@@ -194,7 +194,7 @@ class ColumnMap(TextLayout):
         return self if held is None else self.but(temp_file=held.but(file=str((folder / held.file).resolve())))
 
 
-READ_SETTINGS = ColumnMap()
+READ_SETTINGS = ColumnMap.model_construct()  # of the defaults, whose validation would slow every start
 
 
 def map_of_channels(columns: Mapping[str, Any], units: Mapping[Any, str], **keys: Any) -> ColumnMap:

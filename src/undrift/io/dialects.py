@@ -38,7 +38,7 @@ Pattern = Annotated[re.Pattern[str], BeforeValidator(lambda text: re.compile(tex
 class MapTable(BaseModel):
     """A table of a shipped map."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True, defer_build=True)
 
 
 class MapCounter(MapTable):

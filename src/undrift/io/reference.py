@@ -221,7 +221,7 @@ class PoseColumns(TomlTable):
 class ReferenceMap(TomlTable):
     """Where poses are in a foreign file."""
 
-    columns: PoseColumns = PoseColumns()
+    columns: PoseColumns = PoseColumns.model_construct()
     units: dict[Literal["time", "position", "markers", "angle"], str] = Field(
         default_factory=dict
     )  # of the columns that are named
@@ -233,7 +233,7 @@ class ReferenceMap(TomlTable):
     axis: tuple[Finite, Finite, Finite] | None = None
     repair_time: bool = False  # leave out rows whose time does not go forward
     clock: Clock = "file"  # "file", or "regular" for stamps of a host: a rate and an offset are fitted to them
-    layout: TextLayout = TextLayout()  # for text files
+    layout: TextLayout = TextLayout.model_construct()  # for text files
 
     def wanted(self) -> tuple[Column, ...]:
         """Return all mapped columns."""

@@ -10,7 +10,8 @@ from undrift.calibration.expanded import expand, gravity_uncertainty
 from undrift.correction.answer import REST_S, TASK_S, WITHIN_K, answer_sentence, pitch_limits
 from undrift.errors import InputError
 from undrift.io.store import calibration_json
-from undrift.model import AXES, Calibration, TriadModel
+from undrift.model import AXES, Calibration, DriftTables, TriadModel
+from undrift.mounting import statement_of
 from undrift.report import figures
 from undrift.report.report import Cell, Estimate, Report, Table
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
@@ -40,9 +41,9 @@ def calibration_report(calibration: Calibration) -> Report:
     return Report(
         title=f"Calibration of {calibration.device or 'a device'}",
         answer=answer_sentence(calibration),
-        tables=[*_pitch(calibration), _uncertainty(calibration)],
+        tables=[*_pitch(calibration), _uncertainty(calibration), *_ranges(calibration.drift)],
         details=[_parameters(name, model) for name, model in triads.items()],
-        notes=[*_origin(calibration), *_magnetometer(calibration)],
+        notes=[*_origin(calibration), *_parts(calibration)],
         findings=calibration.verdict.findings,
         judged=True,
         figures=[lambda: draw_calibration(calibration)],
@@ -141,13 +142,43 @@ def _origin(calibration: Calibration) -> Iterator[str]:
             yield f"Codes of the {NAMES[triad.sensor]}: step {steps}, rounded {triad.rounding.replace('_', ' ')}."
 
 
-def _magnetometer(calibration: Calibration) -> Iterator[str]:
+def _parts(calibration: Calibration) -> Iterator[str]:
+    """Yield the magnetometer, the mounting, and what the tables take into account besides temperature."""
     if (mag := calibration.magnetometer) is not None:
         offset = ", ".join(
             map(str, map(Estimate, mag.model.offset.tolist(), mag.model.standard_uncertainty[9:12].tolist()))
         )
         lag = Estimate(1e3 * mag.lag_s, 1e3 * mag.lag_uncertainty_s)
         yield f"Magnetometer: in the axes of the gyroscopes, which it lags by {lag} ms. Its offset is {offset} uT."
+    if calibration.mounting is not None:
+        yield f"Mounting: {statement_of(calibration.mounting)}"
+    drift = calibration.drift
+    if drift is not None and drift.static is not None and drift.static.warm_up is not None:
+        yield f"The offset after power-on is stored for {drift.static.warm_up.power_on_s[-1]:.0f} s."
+    if drift is not None and drift.lag_s > 0.0:
+        yield f"The thermometer lags by {drift.lag_s:.2f} s."
+
+
+def _ranges(drift: DriftTables | None) -> Iterator[Table]:
+    """Yield the temperatures of each table."""
+    if drift is None:
+        return
+    parts = [
+        (f"{part} of the {name}", table.temp_c, len(values), getattr(table, f"{name}_extrapolated"))
+        for part, table in (("offset", drift.static), ("matrix", drift.scale))
+        for name in ("gyro", "accel")
+        if table is not None and (values := getattr(table, f"{name}_{part}")) is not None
+    ]
+    if (dynamic := drift.dynamic) is not None:
+        low, high = dynamic.turn_rate[[0, -1]] / RADIAN_PER_DEGREE
+        part = f"error of the gyro over {low:.0f} to {high:.0f} deg/s"
+        parts.append((part, dynamic.temp_c, dynamic.error.size // 3, dynamic.extrapolated))
+    rows = [
+        (part, float(temp_c[0]), float(temp_c[-1]), nodes, 0 if far is None else int(far.sum()))
+        for part, temp_c, nodes, far in parts
+    ]
+    columns = ("table", "from (degC)", "to (degC)", "nodes", "extrapolated")
+    yield Table(title="Tables over temperature", columns=columns, rows=rows, form=".2f")
 
 
 # ---- figures

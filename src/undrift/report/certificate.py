@@ -6,27 +6,21 @@ Scale factors and cross-axis terms are elements of the correction matrix, shares
 import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from undrift import __version__
 from undrift.arrays import FloatArray
-from undrift.calibration.expanded import COVERAGE, ParameterTable, block_of, expand, gravity_uncertainty
+from undrift.calibration.expanded import ParameterTable, block_of, expand, gravity_uncertainty
 from undrift.correction.answer import answer_sentence
 from undrift.errors import InputError
 from undrift.files import write_whole
 from undrift.findings import most_consequential_first
 from undrift.io.store import content_hash
-from undrift.model import AXES, Calibration, DriftTables, TriadModel
-from undrift.report import figures
+from undrift.model import Calibration, TriadModel
 from undrift.report.calibration import BLOCKS, NAMES, SHOWN_UNIT, budget_units, parameter_unit, triads_of
-from undrift.report.drift import draw_dynamic
-from undrift.report.report import Cell, Drawing, Estimate, Report, Table
+from undrift.report.report import Cell, Estimate, Report, Table
 from undrift.units import INHABITED_GRAVITY, is_physical, si_factor
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 # Row of the budget, how it is evaluated (GUM 4.2, 4.3), and which triad has it
 SOURCE_ROWS = {
@@ -108,7 +102,6 @@ def write_certificate(calibration: Calibration, path: Path, report: Report, entr
         ],
         conditions=[*_conditions(calibration)],
         tables=[*report.tables, *report.details],
-        pictures=[figures.svg_of(draw()).partition("?>")[2] for draw in _drift_figures(calibration.drift)],
         references=[*_references(calibration)],
         limits=[*_limits_of_validity(calibration)],
         hash=report.data["content_sha256"],
@@ -298,43 +291,3 @@ def _limits_of_validity(calibration: Calibration) -> Iterator[str]:
         nodes = static.temp_c
         yield f"Drift tables hold from {nodes[0]:.1f} to {nodes[-1]:.1f} °C. U of the results is that at the reference temperature."
     yield "Change with time, shock and supply voltage are not included. Calibrate again when a known rest reads otherwise."
-
-
-def _drift_figures(drift: DriftTables | None) -> Iterator[Drawing]:
-    if drift is not None and (drift.static is not None or drift.scale is not None):
-        yield lambda: draw_tables(drift)
-    if drift is not None and (dynamic := drift.dynamic) is not None:
-        yield lambda: draw_dynamic(dynamic)
-
-
-def draw_tables(drift: DriftTables) -> "Figure":
-    """Draw offset and scale factor over temperature minus their mean, each node with its expanded uncertainty (k = 2)."""
-    panels: list[tuple[str, FloatArray, FloatArray, FloatArray | None]] = []
-    for name in ("gyro", "accel"):
-        triad = NAMES[name]
-        if drift.static is not None and (offset := getattr(drift.static, f"{name}_offset")) is not None:
-            doubt = getattr(drift.static, f"{name}_uncertainty")
-            panels.append((f"{triad}: offset (raw unit)", drift.static.temp_c, offset - offset.mean(axis=0), doubt))
-        if drift.scale is not None and (matrix := getattr(drift.scale, f"{name}_matrix")) is not None:
-            diagonal = np.einsum("nii->ni", matrix)
-            doubt = getattr(drift.scale, f"{name}_uncertainty")
-            relative = 100.0 * (diagonal / diagonal.mean(axis=0) - 1.0)
-            doubt = None if doubt is None else 100.0 * np.einsum("nii->ni", doubt) / np.abs(diagonal.mean(axis=0))
-            panels.append((f"{triad}: scale factor (%)", drift.scale.temp_c, relative, doubt))
-    figure, axes = figures.new_figure(len(panels), height=1.3, width=7.2, share_x=False)
-    for panel, (title, temp_c, value, doubt) in zip(axes, panels, strict=True):
-        for k, axis in enumerate(AXES):
-            style: Any = {
-                "color": figures.AXIS_COLOURS[k],
-                "marker": "os^"[k],
-                "markersize": 3.0,
-                "linestyle": ("-", "--", ":")[k],
-            }
-            panel.plot(temp_c, value[:, k], label=axis, **style)
-            if doubt is not None:
-                low, high = value[:, k] - COVERAGE * doubt[:, k], value[:, k] + COVERAGE * doubt[:, k]
-                panel.fill_between(temp_c, low, high, color=figures.AXIS_COLOURS[k], alpha=0.12, linewidth=0.0)
-        panel.set_title(title, loc="left", fontsize=9)
-    axes[-1].set_xlabel("temperature (°C)")
-    axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.2)
-    return figure

@@ -11,12 +11,12 @@ import textwrap
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from functools import cache
-from html import escape
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from markupsafe import escape
 
 from undrift.arrays import FloatArray, runs
 from undrift.errors import InputError
@@ -272,22 +272,6 @@ def _without_wraps(angle_deg: FloatArray) -> FloatArray:
     return angle
 
 
-def draw_agreement(
-    level_deg: FloatArray, difference_deg: FloatArray, bias_deg: float, limits_deg: tuple[float, float], *, unit: str
-) -> "Figure":
-    """Draw a Bland-Altman plot: difference against level, with the bias and its 95 % limits of agreement.
-    level_deg (n,) deg, difference_deg (n,) deg."""
-    figure, (axes,) = new_figure(1, height=3.0)
-    axes.scatter(level_deg, difference_deg, color=DEVICE, s=28)
-    axes.axhline(bias_deg, color=ERROR)
-    for limit in limits_deg:
-        axes.axhline(limit, color=LIMIT, linestyle="--")
-    where: Any = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "bottom"}
-    axes.annotate(f"bias {bias_deg:+.2f} deg", (1.0, bias_deg), **where)
-    axes.set(xlabel=f"mean of device and optics (deg), one point a {unit}", ylabel="device - optics (deg)")
-    return figure
-
-
 # ---- a recording, and what was found in it
 
 SATURATED = "#b0198f"
@@ -516,30 +500,6 @@ def _draw_deviation(panel: "Axes", axis: "AxisNoise", name: str, k: int) -> None
     )
 
 
-def draw_allan_fit(fit: "NoiseFit", triad: str, terms: Mapping[str, str]) -> "Figure":
-    """Draw each axis of a triad with the fitted line of each term, and a mark where its coefficient is read."""
-    figure, panels = new_figure(3, height=2.1)
-    dashes = dict(zip(terms, (("-.", "D", 1.0), ("--", "s", None), (":", "^", 3.0)), strict=True))
-    for k, (panel, axis) in enumerate(zip(panels, getattr(fit, triad), strict=True)):
-        _draw_deviation(panel, axis, triad, k)
-        taus_s = axis.curve.taus_s
-        parts, low = axis.terms(taus_s), float(np.nanmin(axis.curve.lower))
-        total = np.sqrt(sum(parts.values()))
-        panel.plot(taus_s, total, color=OPTICS, linewidth=0.9, label="model")
-        for name, (dash, marker, term_tau_s) in dashes.items():
-            if (line := np.sqrt(parts[name])).any():
-                at = float(taus_s[total.argmin()]) if term_tau_s is None else term_tau_s
-                far = (line > 0.5 * low) | (taus_s >= 0.5 * at if name == "rate_random_walk" else False)
-                asymptote = np.where(far, line, np.nan)
-                panel.plot(taus_s, asymptote, color=LIMIT, linestyle=dash, label=terms[name])
-                panel.plot(at, np.sqrt(axis.terms(np.array([at]))[name]), marker=marker, color=LIMIT, markersize=5.0)
-        panel.set(xscale="log", yscale="log", ylabel=f"{triad} {axis.axis} ({getattr(fit, f'{triad}_unit')})")
-        legend_above(panel)
-    entitle(figure, "Allan deviation and its terms. Each mark shows the point at which a coefficient is read.")
-    panels[-1].set_xlabel("averaging time (s)")
-    return figure
-
-
 # ---- pictures of a study
 
 COMPARED_COLOURS = (LIMIT, ERROR, DEVICE, "#9a6a00", "#3f8f4f")
@@ -633,16 +593,24 @@ def draw_validation(result: "Validation") -> "Figure":
 
 
 def draw_people_agreement(table: "LevelTable", summary: "LevelSummary") -> "Figure":
-    """Draw the agreement of device and reference at one level of correction, one point per person."""
+    """Draw difference against level, one point per person, with the bias and the 95 % limits of Bland and Altman."""
     errors = next(row for row in table.errors if (row.level, row.method) == (summary.level, summary.method))
     people = [trial.person for trial in table.trials]
     judged = np.asarray(np.isfinite(errors.measure_deg).all(axis=1))
     names = dict.fromkeys(person for person, valid in zip(people, judged.tolist(), strict=True) if valid)
     means = np.array([errors.measure_deg[judged & (np.array(people) == name)].mean(axis=0) for name in names])
-    limits = summary.agreement
-    if limits is None:
+    if summary.agreement is None:
         raise InputError("agreement: expected ten people or more, got fewer. Add people.")
-    return draw_agreement(means.mean(axis=1), means[:, 0] - means[:, 1], limits.bias, limits.limits, unit="person")
+    bias_deg, limits_deg = summary.agreement.bias, summary.agreement.limits
+    figure, (axes,) = new_figure(1, height=3.0)
+    axes.scatter(means.mean(axis=1), means[:, 0] - means[:, 1], color=DEVICE, s=28)
+    axes.axhline(bias_deg, color=ERROR)
+    for limit in limits_deg:
+        axes.axhline(limit, color=LIMIT, linestyle="--")
+    where: Any = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "bottom"}
+    axes.annotate(f"bias {bias_deg:+.2f} deg", (1.0, bias_deg), **where)
+    axes.set(xlabel="mean of device and optics (deg), one point a person", ylabel="device - optics (deg)")
+    return figure
 
 
 def draw_level_errors(table: "LevelTable") -> "Figure":

@@ -11,9 +11,10 @@ import re
 import shlex
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from html import escape
 from itertools import count
 from pathlib import Path
+
+from markupsafe import escape
 
 from undrift import __version__
 from undrift.base.spoken import showing, spoken

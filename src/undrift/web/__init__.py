@@ -2,12 +2,11 @@
 
 The input is a live device or files, and the clicks of a person. The output is recordings, sessions, and calibrations with
 report and certificate, below the folder of the bench. Nothing is estimated here: the page calls the functions of
-``commands`` in a thread and shows their ``Report``.
+``commands`` in a thread and shows the pages of their reports.
 
-    app.py           the server: page, files, uploads; access.py, uploads.py: who and what may come in
-    bench.py         the state: device, files, results; items.py: the folder; work.py: a running command; place.py: gravity
-    page.py          the four steps; guided.py: six faces and turns; chart.py: the trace of a recording
-    result.py        a report on the page
+    app.py           the server: page and files; access.py: who may come in
+    bench.py         the state: device, files, results, place; items.py: the folder
+    page.py          the four steps; guided.py: six faces and turns
 
 Devices, guides and captures are in commands/bench. Frames and units are defined there. Rates are drawn in deg/s.
 

@@ -1,4 +1,4 @@
-"""The server of the bench: the page, files and uploads, for this computer only."""
+"""The server of the bench: the page and its files, for this computer only."""
 
 import asyncio
 import contextlib
@@ -12,20 +12,16 @@ import uvicorn
 from fastapi import FastAPI
 from nicegui import app as pages_app
 from nicegui import ui
-from starlette.requests import Request
-from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
-from uvicorn.protocols.http.auto import AutoHTTPProtocol
+from starlette.responses import FileResponse, PlainTextResponse, Response
 
-from undrift.errors import InputError, UndriftError
+from undrift.errors import InputError
 from undrift.web import page
 from undrift.web.access import Access
 from undrift.web.bench import Bench, ServerSettings
 from undrift.web.items import lock_folder
-from undrift.web.uploads import receive_upload
 
 STATIC = Path(__file__).parent / "static"
 HOST = "127.0.0.1"  # pages are served to this computer only
-FIRST_S = 10.0  # from a connection to its first request
 
 
 def serve(settings: ServerSettings, ready: Callable[[str], None]) -> None:
@@ -42,7 +38,7 @@ def _serve(settings: ServerSettings, ready: Callable[[str], None], lock: IO[str]
     address += f"?token={settings.token}" if settings.token else ""
     config = uvicorn.Config(
         Access(application(bench, partial(ready, address)), settings.token),
-        log_level="warning", access_log=False, timeout_graceful_shutdown=2, http=Prompt, server_header=False,
+        log_level="warning", access_log=False, timeout_graceful_shutdown=2, server_header=False,
         ws_max_size=1 << 20, ws_per_message_deflate=False,  # noise does not shrink, and the time of it is missed
     )  # fmt: skip
     try:
@@ -50,20 +46,6 @@ def _serve(settings: ServerSettings, ready: Callable[[str], None], lock: IO[str]
     finally:
         bench.close()
         listener.close()
-
-
-class Prompt(AutoHTTPProtocol):  # type: ignore[misc,valid-type]
-    """HTTP that closes a connection on which no request has come after ``FIRST_S``."""
-
-    def connection_made(self, transport: asyncio.Transport) -> None:
-        """Start the time-out of the connection."""
-        super().connection_made(transport)
-
-        def close_if_silent() -> None:
-            if self.cycle is None and transport.get_protocol() is self:  # a WebSocket has a protocol of its own
-                transport.close()
-
-        self.loop.call_later(FIRST_S, close_if_silent)
 
 
 def listen(host: str, port: int) -> socket.socket:
@@ -107,14 +89,6 @@ def application(bench: Bench, ready: Callable[[], None]) -> FastAPI:
                 "sandbox allow-same-origin allow-popups; default-src 'self' data: 'unsafe-inline'"
             )
         return answer
-
-    @api.post("/upload")
-    async def upload(request: Request) -> Response:
-        try:
-            path = await receive_upload(request, bench.folder / "uploads", bench.settings.upload_mb)
-        except UndriftError as error:
-            return JSONResponse({"error": str(error)}, 400)
-        return JSONResponse({"file": path.relative_to(bench.folder).as_posix()})
 
     pages_app.add_static_files("/static", STATIC)
     ui.page("/", title="undrift bench")(partial(page.build, bench))

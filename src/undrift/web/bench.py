@@ -2,40 +2,41 @@
 
 import asyncio
 import json
-import os
 import re
+import secrets
+import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import quote
 
+from nicegui.elements.upload_files import FileUpload
+
 from undrift.base.codec import toml_text
-from undrift.commands.bench.look import assumes_gravity, look_at
-from undrift.commands.bench.source import LiveDevice, PracticeDevice, found_devices, listened
+from undrift.commands.bench.source import LiveDevice, PracticeDevice, connected, found_devices
 from undrift.commands.calibrate import calibrate
 from undrift.commands.certificate import Statement, certificate
 from undrift.commands.correct import correct
+from undrift.commands.files import Place, states_gravity
+from undrift.commands.info import Looked, look_at
 from undrift.commands.orient import orient
 from undrift.errors import InputError
 from undrift.files import write_whole
+from undrift.record import check_local_gravity
 from undrift.report.page import page_text
 from undrift.report.report import Report
+from undrift.screen import Screen, showing_on
 from undrift.web.guided import Guided
-from undrift.web.items import CALIBRATION, MAP, Item, items_in, read_object
-from undrift.web.place import Site
-from undrift.web.result import shown_of
-from undrift.web.uploads import safe_name
-from undrift.web.work import Work
+from undrift.web.items import ARRIVING, CALIBRATION, MAP, Item, items_in, read_object, safe_name
 
 PLACE, PRACTICE = "place.json", "practice"
-SEED, SPEED = "UNDRIFT_PRACTICE_SEED", "UNDRIFT_PRACTICE_SPEED"  # of the practice device, in the environment
 INTERNAL = re.compile(r"\b(?:uploads|jobs)/[^/\s\"]+/(?:session/)?")  # folders that no person needs to read
 OPTIONS = {  # what the page calls the parameters of commands
     "column_map": "the columns and units", "sample_rate_hz": "the samples per second", "turn_deg": "the angle of its turns",
-    "calibrate_from": "the way to calibrate", "from": "the way to calibrate", "latitude_deg": "the town or latitude",
+    "calibrate_from": "the way to calibrate", "from": "the way to calibrate", "latitude_deg": "the latitude",
     "height_m": "the height", "gravity_m_s2": "the gravity", "rest_s": "the rest",
 }  # fmt: skip
 Value = TypeVar("Value")
@@ -49,6 +50,27 @@ class ServerSettings:
     port: int = 8765  # 0 takes a free one
     token: str | None = None  # required in every request; None for no check on this computer
     upload_mb: float = 500.0  # largest upload, 1e6 bytes
+
+
+class Work(Screen):
+    """Progress of a command. A cancelled command ends when it reports progress the next time, and writes no output."""
+
+    def __init__(self, name: str) -> None:
+        self.name, self.task, self.share, self.cancelled = name, "starting", 0.0, False
+        self._start_s = time.monotonic()
+
+    def progress(self, task: str, share: float) -> None:
+        self.task, self.share = task, share
+        if self.cancelled:
+            raise InputError(f"{self.name}: cancelled. Nothing was written.")
+
+    def ask(self, line: str) -> str:
+        raise EOFError
+
+    @property
+    def text(self) -> str:
+        """Return the task and the duration so far."""
+        return f"{self.name}: {self.task}, {time.monotonic() - self._start_s:.0f} s"
 
 
 class Bench:
@@ -65,10 +87,11 @@ class Bench:
         self.work: Work | None = None
         self.errors = dict[str, str]()  # by the button that caused them
         self.version = 0  # counts changes, after which pages are drawn again
-        self.place = Site(**read_object(self.folder / PLACE))
+        self.place = Place(**read_object(self.folder / PLACE))
         self.calibration = next((item.calibration for item in self.items if item.calibration), None)
         self.typed: dict[str, Any] = {"address": "", "offset": "none", "format": ".csv", "forward": "", "up": ""}
-        self._practice, self._one = PracticeDevice(), asyncio.Lock()
+        self._hand_held: PracticeDevice | None = None  # the practice device, if it was started
+        self._one = asyncio.Lock()
 
     def changed(self) -> None:
         """Let all pages draw themselves again."""
@@ -85,8 +108,13 @@ class Bench:
         async with self._one:
             self.work = work = Work(name)
             self.changed()
+
+            def run() -> Value:
+                with showing_on(work):
+                    return function(*values, **options)
+
             try:
-                return await asyncio.to_thread(work.run, function, *values, **options)
+                return await asyncio.to_thread(run)
             finally:
                 self.work = None
                 self.changed()
@@ -102,26 +130,27 @@ class Bench:
     async def connect(self, address: str) -> None:
         """Connect a device in place of the previous one, and begin a guided recording."""
         await self.disconnect()
-
-        def opened() -> LiveDevice:
-            source = LiveDevice(listened(self._address_of(address.strip())))
-            source.start()
-            return source
-
-        self.source = await self.call("Connecting", opened)
+        self.source = await self.call("Connecting", lambda: connected(self._address_of(address.strip())))
         self.begin()
 
     def _address_of(self, address: str) -> str:
+        """Return an address. The practice device is started if it is wanted, and stopped if it is not."""
         if address != PRACTICE:
-            self._practice.close()
+            self._stop_practice()
             return address
-        seed, speed = os.environ.get(SEED, ""), os.environ.get(SPEED, "")
-        return self._practice.start(int(seed) if seed else None, float(speed or 1.0), self.place.gravity_m_s2)
+        if self._hand_held is None:
+            self._hand_held = PracticeDevice(self.place.gravity[0])
+        return self._hand_held.address
+
+    def _stop_practice(self) -> None:
+        if self._hand_held is not None:
+            self._hand_held.close()
+        self._hand_held = None
 
     @property
-    def practice(self) -> Any:
+    def practice(self) -> PracticeDevice | None:
         """Return the practice device if it is connected."""
-        return None if self.source is None else self._practice.device
+        return None if self.source is None else self._hand_held
 
     async def search(self) -> None:
         """Search for serial ports and LSL streams."""
@@ -136,11 +165,8 @@ class Bench:
         stamp = f"{datetime.now():%Y-%m-%d-%H%M%S-%f}-{safe_name(self.source.name, 'device')}"
         (folder := self.folder / "jobs" / stamp).mkdir(parents=True)
         item = Item(folder=folder, path=folder / "session", kind="session", serial=self.source.name)
-        item.save()
         self.guided = Guided(self, item)
-        self.items.insert(0, item)
-        self.chosen, self.step = item, "Check"
-        self.changed()
+        self._added(item)
 
     async def disconnect(self) -> None:
         """Disconnect the device."""
@@ -153,9 +179,24 @@ class Bench:
         """Close all resources when the server ends."""
         if self.source is not None:
             self.source.stop()
-        self._practice.close()
+        self._stop_practice()
 
     # ---- Files
+
+    async def receive(self, files: Sequence[FileUpload]) -> None:
+        """Store the files that a browser sent together, and add them. Incomplete files are never kept."""
+        paths, largest_mb = list[Path](), self.settings.upload_mb
+        for file in files:
+            name = safe_name(file.name, "recording")
+            if file.size() > largest_mb * 1e6:
+                raise InputError(
+                    f"upload: {name} is larger than {largest_mb:g} MB. Send a part of it, or restart the bench with a "
+                    "larger --upload-mb."
+                )
+            folder = self.folder / "uploads" / secrets.token_hex(6)  # names may repeat
+            await file.save(folder / ARRIVING)
+            paths.append((folder / ARRIVING).rename(folder / name))
+        await self.add(paths)
 
     async def add(self, paths: Sequence[Path]) -> None:
         """Add files that were sent together: as one recording if they are one, such as a phone's, otherwise each."""
@@ -182,16 +223,16 @@ class Bench:
     def _added(self, item: Item) -> None:
         item.save()
         self.items.insert(0, item)
-        self.chosen, self.step = item, "Check"
+        self._show(item, "Check")
+
+    def _show(self, item: Item, step: str) -> None:
+        self.chosen, self.step = item, step
         self.errors.clear()
         self.changed()
 
     async def choose(self, item: Item) -> None:
         """Choose a file, and read it unless it was read."""
-        item.load()
-        self.chosen, self.step = item, "Calibrate" if "calibrate" in item.results else "Check"
-        self.errors.clear()
-        self.changed()
+        self._show(item, "Calibrate" if item.page("calibrate") else "Check")
         if item.looked is None and item.kind != "session":
             try:
                 await self._look(item)
@@ -206,13 +247,17 @@ class Bench:
             await self.choose(self.items[0])
 
     async def _look(self, item: Item) -> None:
-        item.looked = looked = await self.call("Reading", look_at, item.path, item.opening)
+        def look() -> Looked:
+            looked = look_at(item.path, item.opening)
+            self._keep(item, "info", looked.report)
+            return looked
+
+        item.looked = looked = await self.call("Reading", look)
         item.kind, item.summary = looked.kind, self.plain(looked.summary)
         item.serial = item.serial or looked.serial or item.path.name.partition(".")[0]
         item.draft = looked.draft or item.draft
         if item.kind == "calibration":
             self.calibration = item.path
-            item.keep("calibrate", await self.call("Reading", self._shown, looked.report))
         item.save()
         self.changed()
 
@@ -250,22 +295,23 @@ class Bench:
 
     # ---- Results
 
-    def set_place(self, place: Site) -> None:
+    def set_place(self, place: Place) -> None:
         """Set the place of the bench, and store it for the next start."""
+        check_local_gravity(place.gravity[0], "place")
         self.place = place
         write_whole(self.folder / PLACE, json.dumps(asdict(place)) + "\n")
 
     async def calibrate(self, item: Item, *, motion: bool = False, accel_only: bool = False) -> None:
         """Calibrate from the rests and turns of a recording, or from its motion, and use the calibration from now on."""
-        place = self.place.place(item.serial.strip())
-        if item.kind == "session":
-            place = (self.place if assumes_gravity(item.path) else Site()).place()
+        place = replace(self.place, serial=item.serial.strip())
+        if item.kind == "session":  # it states its serial number, and perhaps its gravity
+            place = Place() if states_gravity(item.path) else self.place
         output = item.folder / CALIBRATION
         options: dict[str, Any] = {"calibrate_from": "motion"} if motion else {"turn_deg": item.turn_deg}
         if accel_only:
             options = {"gyro": "none"}
         await self._run(item, calibrate, item.path, place=place, opening=item.opening, output=output, **options)
-        item.discard("certificate")
+        (item.folder / "certificate.html").unlink(missing_ok=True)
         self.calibration = output
 
     async def certify(self, item: Item, statement: Statement) -> None:
@@ -294,20 +340,17 @@ class Bench:
         return safe_name(item.path.name.split(".")[0], "recording")
 
     async def _run(self, item: Item, command: Callable[..., Report], *values: Any, **options: Any) -> None:
-        """Run a command, and keep its result with a page."""
-        name = command.__name__
+        """Run a command, and keep its report."""
         item.save()  # what a person typed
 
-        def run() -> dict[str, Any]:
-            report = command(*values, **options)
-            shown = self._shown(report)
-            if name != "certificate":
-                page = item.folder / f"{name}.html"
-                write_whole(page, self.plain(page_text(report)))
-                shown["files"].append(page.name)
-            return shown
+        def run() -> None:
+            self._keep(item, command.__name__, command(*values, **options))
 
-        item.keep(name, await self.call(name.capitalize(), run))
+        await self.call(command.__name__.capitalize(), run)
 
-    def _shown(self, report: Report) -> dict[str, Any]:
-        return shown_of(report, self.plain)
+    def _keep(self, item: Item, command: str, report: Report) -> None:
+        """Keep the report of a command as a page. A certificate is a page of its own."""
+        item.reports[command] = report
+        if command != "certificate":
+            text = page_text(replace(report, next_command=(), written=()))
+            write_whole(item.folder / f"{command}.html", self.plain(text))

@@ -7,7 +7,7 @@ import asyncio
 import json
 import math
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from nicegui import background_tasks, ui
@@ -15,6 +15,7 @@ from nicegui import background_tasks, ui
 from undrift.commands.bench.capture import COUNTDOWN_S, Capture
 from undrift.commands.bench.guides import ORDER, REST_S, WAYS, Guide, SixFaces, Turns, asked, named
 from undrift.errors import UndriftError
+from undrift.record import Axis, Face
 from undrift.web.items import Item
 
 if TYPE_CHECKING:
@@ -56,8 +57,8 @@ class Guided:
         try:
             self.guide.update(record, now_s, source)
             if not self.capture.saved and (self.capture.faces or self.capture.turns):
-                place = self._bench.place
-                self.capture.gravity_m_s2 = place.gravity_m_s2 if place.known else None
+                gravity_m_s2, stated = self._bench.place.gravity
+                self.capture.gravity_m_s2 = None if stated == "standard" else gravity_m_s2
                 session, self.capture.saved = self.capture.session(), True
                 await asyncio.to_thread(self.capture.save, session)
                 self.item.summary = f"{len(self.capture.faces)} faces and {len(self.capture.turns)} turns"
@@ -77,11 +78,11 @@ class Guided:
         wanted, state = guide.wanted, guide.light.state
         if device is None or wanted is None or device.moving:
             return
-        face = wanted if guide is self.faces else f"+{wanted[1]}"
+        face, axis = cast(Face, wanted if guide is self.faces else f"+{wanted[1]}"), cast(Axis, wanted[1])
         if device.face != face or state == "tilted":
             device.lay(face)
         elif guide is self.turns and state in ("still", "captured"):  # not before the rest is long enough
-            device.turn(wanted[1], math.tau if wanted[0] == "+" else -math.tau)
+            device.turn(axis, math.tau if wanted[0] == "+" else -math.tau)
 
 
 # ---- The page

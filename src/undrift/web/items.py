@@ -6,28 +6,41 @@
     jobs/NAME/       a guided recording: the folder session
         .bench.json          what is known about it
         map.toml             columns and units, if a person confirmed them
-        calibration.json     and other results, each with .COMMAND.json for the page and COMMAND.html
+        calibration.json     and other results, each with its report COMMAND.html
 
 Every file is written in a single step, so that a bench that is killed loses nothing. Only one bench can use a folder.
 """
 
 import json
+import re
 import shutil
+import unicodedata
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import IO, Any
 
-from undrift.commands.bench.look import Looked
 from undrift.commands.files import Opening
+from undrift.commands.info import Looked
 from undrift.errors import InputError
 from undrift.files import take_lock, write_whole
+from undrift.report import Report
 
-ABOUT, LOCK = ".bench.json", ".lock"  # no upload is called so
+ABOUT, LOCK, ARRIVING = ".bench.json", ".lock", "sent.part"  # no upload is called so
 MAP, CALIBRATION = "map.toml", "calibration.json"
-COMMANDS = ("calibrate", "certificate", "correct", "orient")
+RESULTS = {  # files that each command writes
+    "info": (),
+    "calibrate": (CALIBRATION,),
+    "certificate": (),
+    "correct": ("*-corrected.csv", "*-corrected.parquet"),
+    "orient": ("*-angles.csv", "*-angles.parquet"),
+}
 SAVED = ("kind", "summary", "serial", "sample_rate_hz", "sensor", "turn_deg", "draft")
+KEPT = frozenset(" ._-+=,@()")  # characters allowed in a name, in addition to letters, marks and digits of any script
+LONGEST = 200  # longest name, bytes in UTF-8 (file systems accept 255, and results add a suffix)
+ENDING = re.compile(r"(\.[A-Za-z0-9]{1,8})?\.gz$|\.[A-Za-z0-9]{1,8}$|$", re.I)
+RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)", re.I)  # names that Windows gives to devices
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -44,7 +57,7 @@ class Item:
     turn_deg: float | None = None  # angle of the turns of a recording
     draft: dict[str, Any] = field(default_factory=dict)  # map that is proposed, with "?" for what nothing shows
     looked: Looked | None = None  # content, once it was read
-    results: dict[str, Any] = field(default_factory=dict)  # by command, as result.py shows them, once they were read
+    reports: dict[str, Report] = field(default_factory=dict)  # by command, since the bench was started
 
     @property
     def name(self) -> str:
@@ -69,26 +82,19 @@ class Item:
         """Return the date and time at which it came."""
         return f"{datetime.fromtimestamp(self.folder.stat().st_ctime):%Y-%m-%d %H:%M}" if self.folder.is_dir() else ""
 
+    def page(self, command: str) -> Path | None:
+        """Return the report of a command, if it was called."""
+        path = self.folder / f"{command}.html"
+        return path if path.is_file() else None
+
+    def files(self, command: str) -> list[Path]:
+        """Return the files that a command wrote."""
+        return [path for pattern in RESULTS[command] for path in sorted(self.folder.glob(pattern)) if path != self.path]
+
     def save(self) -> None:
         """Save what is known about it."""
         values = {name: getattr(self, name) for name in SAVED}
         write_whole(self.folder / ABOUT, json.dumps(values | {"file": self.path.name}) + "\n")
-
-    def load(self) -> None:
-        """Read its results, unless they are in memory."""
-        for command in COMMANDS:
-            if command not in self.results and (shown := read_object(self.folder / f".{command}.json")):
-                self.results[command] = shown
-
-    def keep(self, command: str, shown: dict[str, Any]) -> None:
-        """Save the result of a command."""
-        self.results[command] = shown
-        write_whole(self.folder / f".{command}.json", json.dumps(shown))
-
-    def discard(self, command: str) -> None:
-        """Remove an earlier result."""
-        self.results.pop(command, None)
-        (self.folder / f".{command}.json").unlink(missing_ok=True)
 
 
 def items_in(folder: Path) -> list[Item]:
@@ -101,7 +107,7 @@ def items_in(folder: Path) -> list[Item]:
 
 
 def _item_in(place: Path) -> Item | None:
-    for fragment in place.glob("**/sent.part"):
+    for fragment in place.glob(f"**/{ARRIVING}"):
         fragment.unlink()
     about = read_object(place / ABOUT)
     name = about.get("file") or next((path.name for path in place.iterdir() if not path.name.startswith(".")), "")
@@ -141,3 +147,16 @@ def lock_folder(folder: Path) -> IO[str]:
         ) from error
     lock.truncate(0)
     return lock
+
+
+def safe_name(text: str, otherwise: str) -> str:
+    """Return a text as a file name, in any script, with its endings. The result is never a path, a hidden or a reserved
+    name.
+    """
+    name = unicodedata.normalize("NFC", text.replace("\\", "/").rsplit("/", 1)[-1])
+    name = re.sub("-+", "-", "".join(c if c in KEPT or unicodedata.category(c)[0] in "LMN" else "-" for c in name))
+    ending = ENDING.search(name)[0]  # type: ignore[index]  # it may be empty
+    stem = (
+        name.removesuffix(ending).strip("-. ").encode()[: LONGEST - len(ending)].decode(errors="ignore").rstrip("-. ")
+    )
+    return ("_" if RESERVED.match(stem) else "") + (stem or otherwise) + ending

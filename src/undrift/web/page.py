@@ -2,23 +2,20 @@
 
 import logging
 from collections.abc import Awaitable, Callable
+from dataclasses import asdict
 from functools import partial
 from inspect import isawaitable
-from pathlib import Path
 from typing import Any
 
 from nicegui import events, ui
 
-from undrift.commands.bench.look import found_in, proof_of
 from undrift.commands.certificate import Statement
+from undrift.commands.files import Place
 from undrift.errors import InputError, UndriftError
 from undrift.record import FACES
 from undrift.web.bench import PRACTICE, Bench
-from undrift.web.chart import chart_of
 from undrift.web.guided import guide_part, progress_part
 from undrift.web.items import MAP, Item
-from undrift.web.place import place_of, towns
-from undrift.web.result import show, show_findings
 
 REFRESH_S = 0.25
 ITEMS = 20  # that are listed first
@@ -42,6 +39,8 @@ OFFSETS = {
 }
 CHOOSER = """<div class="row items-center q-pa-xs"><q-btn flat no-caps icon="add" label="Choose files" @click="props.pickFiles" />
 <span>or drop them here</span><div aria-hidden="true" class="picker"><q-uploader-add-trigger /></div></div>"""
+FIT = """event => { const frame = event.target, page = frame.contentDocument.documentElement;
+new ResizeObserver(() => { frame.style.height = page.offsetHeight + 20 + "px" }).observe(page) }"""  # no inner scroll bar
 LOG = logging.getLogger("undrift.bench")
 Handler = Callable[[], Awaitable[None] | None]
 
@@ -112,19 +111,24 @@ def action(bench: Bench, label: str, handler: Handler, *, main: bool = False) ->
 
     async def act() -> None:
         button.disable()
-        bench.errors.pop(label, None)
-        try:
-            waited = handler()
-            if isawaitable(waited):
-                await waited
-        except (UndriftError, OSError) as error:
-            bench.errors[label] = bench.plain(str(error))
-        except Exception as error:  # a bug must not leave a page without an answer
-            LOG.exception("bench")
-            bench.errors[label] = f"Internal error: {type(error).__name__}: {error}. Please report it."
-        bench.changed()
+        await attempt(bench, label, handler)
 
     button.on_click(act)
+
+
+async def attempt(bench: Bench, name: str, handler: Handler) -> None:
+    """Call a handler. Its error is kept by a name, for the page."""
+    bench.errors.pop(name, None)
+    try:
+        waited = handler()
+        if isawaitable(waited):
+            await waited
+    except (UndriftError, OSError) as error:
+        bench.errors[name] = bench.plain(str(error))
+    except Exception as error:  # a bug must not leave a page without an answer
+        LOG.exception("bench")
+        bench.errors[name] = f"Internal error: {type(error).__name__}: {error}. Please report it."
+    bench.changed()
 
 
 def field(label: str, holder: Any, name: str, *, hint: str = "", proposals: Any = None) -> None:
@@ -135,20 +139,28 @@ def field(label: str, holder: Any, name: str, *, hint: str = "", proposals: Any 
         entry.props["hint"] = hint
 
 
-def number(label: str, item: Item, name: str) -> None:
-    """Add an input for a number of an item."""
-    ui.number(label, value=getattr(item, name), on_change=lambda event: setattr(item, name, event.value)).classes(
-        "field"
-    )
+def number(label: str, holder: Any, name: str) -> None:
+    """Add an input for a number that is stored in a dictionary or an object."""
+    ui.number(label).classes("field").bind_value(holder, name)
 
 
-def choice(label: str, options: Any, holder: Any, name: Any) -> None:
-    """Add a choice that is stored in a dictionary or a list."""
+def choice(label: str, options: Any, holder: Any, name: str) -> None:
+    """Add a choice that is stored in a dictionary or an object."""
+    ui.select(options, label=label).classes("field").bind_value(holder, name)
 
-    def keep(event: events.ValueChangeEventArguments[Any]) -> None:
-        holder[name] = event.value
 
-    ui.select(options, label=label, value=holder[name], on_change=keep).classes("field")
+def result_part(bench: Bench, item: Item, command: str) -> None:
+    """Add the report of a command and its files, if it was called."""
+    page = item.page(command)
+    if page is None:
+        return
+    address = f"{bench.link(page)}?{page.stat().st_mtime_ns}"
+    with ui.row():
+        for file in item.files(command):
+            ui.link(f"Download {file.name}", f"{bench.link(file)}?download=1")
+        ui.link("Open the report", address, new_tab=True)
+    frame = ui.element("iframe").classes("report").on("load", js_handler=FIT)
+    frame.props["src"], frame.props["title"] = address, f"Report of {command}"
 
 
 # ---- Readings
@@ -203,32 +215,21 @@ def item_list(bench: Bench, items: list[Item]) -> None:
 
 
 def uploader(bench: Bench) -> None:
-    """Add the area for files. The browser sends each to /upload, which limits size and name."""
-    element = ui.element("q-uploader").props("multiple auto-upload flat bordered")
-    element.add_slot("header", CHOOSER)
-    element.props[":url"] = "files => '/upload?name=' + encodeURIComponent(files[0].name)"
-    element.props["send-raw"] = True
-    answer = "(info) => emit((() => { try { return JSON.parse(info.xhr.responseText) } catch { return {} } })())"
-    error = ui.label(bench.errors.get("upload", "")).classes("error").props('role="alert"')
-    arrived = list[Path]()
+    """Add the area for files."""
 
-    def sent(event: events.GenericEventArguments) -> None:
-        arrived.append(bench.inside(str(event.args["file"])))
+    async def arrived(event: events.MultiUploadEventArguments) -> None:
+        await attempt(bench, "upload", lambda: bench.receive(event.files))
 
-    def refused(event: events.GenericEventArguments) -> None:
-        text = (event.args or {}).get("error") or "The file did not arrive. Send it again."
-        bench.errors["upload"] = error.text = str(text)
+    def refused() -> None:
+        bench.errors["upload"] = f"The largest file that is accepted has {bench.settings.upload_mb:g} MB."
+        bench.changed()
 
-    async def finished() -> None:
-        files = arrived[:]
-        arrived.clear()
-        if files:
-            bench.errors.pop("upload", None)
-            await bench.add(files)
-
-    element.on("uploaded", sent, js_handler=answer)
-    element.on("failed", refused, js_handler=answer)
-    element.on("finish", finished, args=[])
+    largest = int(bench.settings.upload_mb * 1e6)
+    area = ui.upload(
+        multiple=True, auto_upload=True, max_file_size=largest, on_multi_upload=arrived, on_rejected=refused
+    )
+    area.props("flat bordered").add_slot("header", CHOOSER)
+    ui.label(bench.errors.get("upload", "")).classes("error").props('role="alert"')
 
 
 # ---- Check
@@ -274,39 +275,30 @@ def file_part(bench: Bench, item: Item) -> None:
     ui.label(item.name).classes("heading")
     ui.label(item.summary or "Reading ...")
     looked = item.looked
-    if item.kind == "calibration":
-        show(item.results["calibrate"], lambda name: bench.link(item.folder / name))
-        action(bench, "Correct recordings with it", lambda: bench.go("Readings"), main=True)
-        return
     if looked is None:
         return
-    mapped = (item.folder / MAP).is_file()
+    needs_map = bool(item.draft) and not (item.folder / MAP).is_file()
     if looked.missing == "sample_rate_hz" and not item.draft:
         rate_form(bench, item)
     elif looked.missing == "sensor":
-        ui.select(list(looked.columns), label="Sensor", on_change=lambda e: setattr(item, "sensor", e.value))
+        ui.select(list(looked.columns), label="Sensor").bind_value(item, "sensor")
         action(bench, "Read the file", lambda: bench.read_again(item), main=True)
-    elif item.draft and not mapped:
+    elif needs_map:
         map_form(bench, item)
-    if item.kind == "recording":
-        if looked.trace:
-            ui.label(proof_of(looked.trace)).classes("proof")
-            ui.label(found_in(looked.trace)).classes("found")
+    if item.kind == "calibration":
+        action(bench, "Correct recordings with it", lambda: bench.go("Readings"), main=True)
+    elif item.kind == "recording":
         action(bench, "Calibrate the device from it", lambda: bench.go("Calibrate"), main=not bench.calibrations)
         if bench.calibrations:
             action(bench, "Correct it", lambda: bench.go("Use"), main=True)
-        show_findings(looked.findings)
-        if looked.trace:
-            text = f"Turn rate and acceleration. {found_in(looked.trace)}"
-            ui.echart(chart_of(looked.trace)).classes("trace").props('role="img"').props["aria-label"] = text
-        if item.draft and mapped:
+        if item.draft:
             with ui.expansion("Columns and units"):
                 map_form(bench, item)
         elif item.sample_rate_hz is not None:
             with ui.expansion("Sample rate"):
                 rate_form(bench, item)
-    else:
-        show_findings(looked.findings)
+    if not (needs_map or looked.missing):
+        result_part(bench, item, "info")
 
 
 def rate_form(bench: Bench, item: Item) -> None:
@@ -317,11 +309,11 @@ def rate_form(bench: Bench, item: Item) -> None:
 
 
 def map_form(bench: Bench, item: Item) -> None:
-    """Ask for columns and units of a table of foreign names. A person confirms what is proposed."""
-    draft, columns = item.draft, list(item.looked.columns) if item.looked else []
-    names = sorted({*columns, *(str(name) for several in draft["columns"].values() for name in _several(several))})
-    reasons = item.looked.reasons if item.looked else {}
+    """Ask for the units of a table of foreign names. A person confirms what is proposed."""
+    draft, reasons = item.draft, item.looked.reasons if item.looked else {}
     ui.label("This table does not state its units. Check columns and units against the data sheet of the device.")
+    for key, columns in draft["columns"].items():
+        ui.label(f"Columns of {key}: {columns if isinstance(columns, str) else ', '.join(map(str, columns))}")
     if "sample_rate_hz" in draft:
 
         def keep(event: events.ValueChangeEventArguments[Any]) -> None:
@@ -331,29 +323,12 @@ def map_form(bench: Bench, item: Item) -> None:
         ui.number("Samples per second, Hz", value=None if value == "?" else value, on_change=keep).classes("field")
     for key, unit in draft.get("units", {}).items():
         if key in UNITS:
-            options = {"?": "Choose the unit"} | {known: known for known in UNITS[key]} | {unit: unit}
-            options["?"] = "Choose the unit"
+            options = {known: known for known in (*UNITS[key], unit)} | {"?": "Choose the unit"}
             choice(f"Unit of the {SENSORS[key]}", options, draft["units"], key)
             if key in reasons:
                 ui.label(f"Proposed by {reasons[key]}.").classes("soft")
-    with ui.expansion("Columns"):
-        for key, several in draft["columns"].items():
-            if key in SENSORS and isinstance(several, list):
-                gains = draft.setdefault("scale", {}).setdefault(key, {}).setdefault("gain", [1.0] * len(several))
-                for k, axis in enumerate("xyz"[: len(several)]):
-                    with ui.row(wrap=False):
-                        choice("Sign", {1.0: "+", -1.0: "-"}, gains, k)
-                        choice(f"{SENSORS[key].capitalize()}, {axis}", _options(several[k], names), several, k)
+    ui.label("If the columns are wrong, use the command line with a map of your own.").classes("soft")
     action(bench, "Columns and units are right: read the file", lambda: bench.read_again(item), main=True)
-
-
-def _several(value: Any) -> list[Any]:
-    return value if isinstance(value, list) else [value]
-
-
-def _options(current: Any, names: list[str]) -> Any:
-    """Return the columns of a choice: names, or positions from 0."""
-    return list(range(max(current + 1, len(names)))) if isinstance(current, int) else names
 
 
 # ---- Calibrate
@@ -371,7 +346,7 @@ def calibrate_step(bench: Bench) -> None:
         field("Serial number", item, "serial", hint="from the file; change it if it is another")
         number("Angle of its turns, deg (empty: none)", item, "turn_deg")
     place_form(bench)
-    done = "calibrate" in item.results
+    done = item.page("calibrate") is not None
     action(bench, "Calibrate", lambda: bench.calibrate(item), main=not done)
     with ui.expansion("Other ways"):
         action(bench, "Calibrate the accelerometers only", lambda: bench.calibrate(item, accel_only=True))
@@ -381,23 +356,26 @@ def calibrate_step(bench: Bench) -> None:
     if done:
         action(bench, "Correct recordings with it", lambda: bench.go("Use"), main=True)
         certificate_part(bench, item)
-        show(item.results["calibrate"], lambda name: bench.link(item.folder / name))
+        result_part(bench, item, "calibrate")
 
 
 def place_form(bench: Bench) -> None:
     """Ask for the place. The scale of the accelerometers cannot be more accurate than local gravity."""
-    place, typed = bench.place, bench.typed
+    gravity_m_s2, source = bench.place.gravity
+    known = "not known, so standard gravity is assumed" if source == "standard" else f"gravity {gravity_m_s2:.4f} m/s2"
+    typed = asdict(bench.place)
 
     def keep() -> None:
-        bench.set_place(place_of(*(typed.get(name) or "" for name in ("town", "height", "gravity"))))
+        latitude_deg, height_m = typed["latitude_deg"], typed["height_m"]
+        if latitude_deg is not None:
+            height_m = height_m or 0.0
+        bench.set_place(Place(gravity_m_s2=typed["gravity_m_s2"], latitude_deg=latitude_deg, height_m=height_m))
 
-    with ui.expansion(f"Place: {place.text}"):
-        ui.label("Without it, the scale of the accelerometers is known to 0.15 % only. Enter a town, or gravity.")
-        for name in ("town", "height", "gravity"):
-            typed.setdefault(name, "")
-        field("Town, or latitude in deg (north is positive)", typed, "town", proposals=list(towns()))
-        field("Height above the sea, m (empty: that of the town)", typed, "height")
-        field("Or gravity, m/s2", typed, "gravity")
+    with ui.expansion(f"Place: {known}"):
+        ui.label("Without it, the scale of the accelerometers is known to 0.15 % only. Enter the latitude, or gravity.")
+        number("Latitude, deg (north is positive)", typed, "latitude_deg")
+        number("Height above the sea, m (empty: 0)", typed, "height_m")
+        number("Or gravity, m/s2", typed, "gravity_m_s2")
         action(bench, "Keep the place", keep)
 
 
@@ -414,7 +392,7 @@ def certificate_part(bench: Bench, item: Item) -> None:
             await bench.certify(item, Statement(**{name: bench.typed[name] or "" for name in entries}))
 
         action(bench, "Make the certificate", certify)
-    if "certificate" in item.results:
+    if item.page("certificate") is not None:
         ui.link("Open the certificate", bench.link(item.folder / "certificate.html"), new_tab=True)
 
 
@@ -442,27 +420,21 @@ def use_step(bench: Bench) -> None:
         action(bench, "Go to the readings", lambda: bench.go("Readings"), main=True)
         return
 
-    def use(event: events.ValueChangeEventArguments[Any]) -> None:
-        bench.calibration = event.value
-
-    ui.select(bench.calibrations, label="Calibration", value=bench.calibration, on_change=use).classes("field")
+    choice("Calibration", bench.calibrations, bench, "calibration")
     choice("Gyroscope offset to subtract", OFFSETS, bench.typed, "offset")
     choice("Format", {".csv": "CSV", ".parquet": "Parquet, for long recordings"}, bench.typed, "format")
     action(bench, "Correct", lambda: bench.correct(item), main=True)
-    if "correct" in item.results:
-        show(item.results["correct"], lambda name: bench.link(item.folder / name))
+    result_part(bench, item, "correct")
     sides = {"": "as calibrated, otherwise +x forward and +z up"} | {face: face for face in FACES}
     with ui.expansion("How the device is worn"):
         choice("Side that points forward", sides, bench.typed, "forward")
         choice("Side that points up", sides, bench.typed, "up")
     action(bench, "Orient: inclination and pitch", lambda: bench.orient(item))
-    if "orient" in item.results:
-        show(item.results["orient"], lambda name: bench.link(item.folder / name))
+    result_part(bench, item, "orient")
 
 
 def take(bench: Bench, item: Item) -> None:
     """Choose a recording, and stay."""
-    item.load()
     bench.chosen = item
     bench.errors.clear()
     bench.changed()

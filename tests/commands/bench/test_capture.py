@@ -65,29 +65,11 @@ def test_a_lost_connection_begins_another_recording_and_all_of_them_calibrate(gu
     ]
 
 
-def test_another_connection_with_a_later_clock_is_told_by_its_key(guide):
-    with HandFeed(seed=5) as feed:
-        feed.watch(guide, 5.0)
-        first = guide.capture.stretch
-        feed.go()
-        guide.update(feed.recent(), feed.clock.now(), key="other")
-    assert guide.capture.stretch == first + 1
-
-
 @pytest.fixture
 def keep_s(monkeypatch):
     """How long readings are kept in which nothing is captured, s: a quarter of what is usual."""
     monkeypatch.setattr("undrift.commands.bench.capture.KEEP_S", KEEP_S / 4.0)
     return KEEP_S / 4.0
-
-
-def test_readings_in_which_nothing_is_captured_are_forgotten(guide, keep_s):
-    guide.capture.take(None, 0.0)
-    time = np.arange(100) / 10.0
-    for block in range(50):  # 500 s
-        values = np.random.default_rng(block).normal(0.0, 1.0, (100, 3))
-        guide.capture.take(Record(time=time + 10.0 * block, gyro=values, accel=values + 9.8), 10.0 * block)
-        assert kept_s(guide.capture) < 2.0 * keep_s + 20.0
 
 
 @pytest.mark.slow
@@ -106,18 +88,6 @@ def test_what_was_captured_is_kept_while_the_rest_is_forgotten(guide, keep_s):
     record = session.records[still.recording]
     assert (record.time[still.start], record.time[still.stop]) == pytest.approx((held.start_s, held.stop_s), abs=0.06)
     assert len(session.records) == 2
-
-
-def test_one_reading_at_a_time_is_as_good_as_many(guide):
-    with HandFeed(seed=5) as feed:
-        feed.watch(guide, 4.0)
-        many = guide.capture.tail(3.0)
-        other = Capture(guide.capture.folder)
-        rows = feed.recent(4.0)
-        for stop in range(2, len(rows) + 1):
-            other.take(rows.part(max(0, stop - 30), stop), 0.01 * stop)
-        assert np.array_equal(other.tail(3.0).accel[:-1], many.accel[: len(other.tail(3.0)) - 1])
-        assert other.stretch == 0
 
 
 def test_what_cannot_be_captured_is_refused(guide):

@@ -1,7 +1,6 @@
 """The guided capture of six faces, fed the readings of a simulated device in an operator's hands."""
 
 import copy
-import gzip
 import json
 from dataclasses import replace
 
@@ -19,11 +18,6 @@ from undrift.io.session import read_session
 from undrift.io.store import read_calibration
 from undrift.record import FACES, Record
 from undrift.sim.device.presets import random_device
-
-
-def in_long(*cases):
-    """Return cases that `make test-long` adds."""
-    return [pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=pytest.mark.slow) for case in cases]
 
 
 @pytest.fixture
@@ -69,17 +63,6 @@ def test_six_faces_are_captured_at_rest_and_calibrate_reads_them(complete, capsy
     assert (np.abs(error) < joint_factor(12) * np.sqrt(np.diag(accel.covariance)[:12])).all()
 
 
-@pytest.mark.slow
-def test_a_face_may_come_in_any_order(guide, feed):
-    order = ["-y", "+x", "+z", "-x", "+y", "-z"]
-    for face in order:
-        feed.held.lay(face)
-        feed.watch(guide, 12.0)
-    assert [*guide.capture.faces] == order
-    assert guide.wanted is None
-    assert guide.light.text == "All six faces are captured."
-
-
 def test_the_light_says_what_the_device_does_and_what_to_do(guide, feed):
     feed.held.lay("+x")
     lights = feed.watch(guide, 12.0)
@@ -93,15 +76,6 @@ def test_the_light_says_what_the_device_does_and_what_to_do(guide, feed):
     assert lights[-1].text == "+x is captured. Turn +z up."
     assert [light.face for light in lights if light.state == "still"] == ["+x"] * len(counted)
     assert guide.wanted == ORDER[0]
-
-
-@pytest.mark.slow
-def test_a_device_that_is_touched_again_and_again_is_never_captured(guide, feed):
-    for _ in range(6):  # it rests for 5 s at most
-        feed.held.lay("+z")
-        lights = feed.watch(guide, 6.0)
-        assert "captured" not in [light.state for light in lights]
-    assert guide.capture.faces == {}
 
 
 @pytest.mark.slow
@@ -120,26 +94,7 @@ def test_a_device_that_hands_hold_is_never_captured(guide, in_counts):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, *in_long(1, 2)])
-def test_a_device_in_counts_that_hands_hold_on_a_face_is_never_captured(guide, feed, seed):
-    rng, gain, time = np.random.default_rng(seed), feed.held.device.accel.gain, np.arange(6001) / 100.0
-    states = []
-    shake, sway = (hand_waves(rng, time, *band) for band in ((7.0, 11.0), (0.1, 0.5)))
-    for _ in range(250):
-        feed.go()
-        record = feed.recent()
-        at = np.rint(100.0 * record.time).astype(int)
-        # of a steady hand: 0.2 m/s2 and 1 deg rms of three axes, and the rates of that
-        accel = record.accel + gain * (0.2 * shake[0][at] + np.radians(1.0) * 9.8 * sway[0][at])
-        gyro = record.gyro + feed.held.device.gyro.gain * (0.02 * shake[0][at] + np.radians(1.0) * sway[1][at])
-        guide.update(replace(record, accel=accel, gyro=gyro), feed.clock.now())
-        states.append(guide.light.state)
-    assert guide.capture.faces == {}
-    assert states.count("moving") > 0.6 * len(states)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 1, *in_long(2, 3)])
+@pytest.mark.parametrize("seed", [0, 1])
 def test_whatever_an_operator_does_no_captured_face_holds_a_move(guide, seed):
     rng = np.random.default_rng(seed)
     with HandFeed(seed=seed) as feed:
@@ -177,20 +132,7 @@ def test_redo_replaces_one_face_and_keeps_it_until_then(complete):
 
 
 @pytest.mark.slow
-def test_redo_of_the_face_that_is_up_counts_down_anew(guide, feed):
-    feed.watch(guide, 12.0)
-    first = guide.capture.faces["+z"]
-    guide.redo("+z")
-    lights = feed.watch(guide, 7.0)
-    assert guide.capture.faces["+z"] == first
-    assert [light.state for light in lights][:3] == ["settling"] * 3
-    feed.watch(guide, 1.0)
-    assert guide.capture.faces["+z"].start_s > first.stop_s
-    assert guide.again is None
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("lost_s", [0.15, 0.6, 2.0])
+@pytest.mark.parametrize("lost_s", [0.15, 2.0])
 def test_a_gap_in_the_readings_restarts_the_countdown(guide, feed, lost_s):
     lights = feed.watch(guide, 5.0)
     assert lights[-1].state == "still"
@@ -222,7 +164,7 @@ def test_many_readings_that_a_recorder_marks_as_missing_restart_it_and_a_single_
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [7, 9, *in_long(11, 14, 15, 20, 33)])
+@pytest.mark.parametrize("seed", [7, 9])
 def test_a_device_in_counts_that_lies_still_from_the_start_is_not_called_moving(guide, seed):
     """The first points of its cloud are noise, which may lie all around as those of a sphere do."""
     with HandFeed(seed, random_device(np.random.default_rng(seed), grade="enc03j_3031")) as feed:
@@ -230,9 +172,9 @@ def test_a_device_in_counts_that_lies_still_from_the_start_is_not_called_moving(
         capture_faces(feed, guide)
 
 
-@pytest.mark.parametrize("seeds", [2, *in_long(8)])
+@pytest.mark.parametrize("seeds", [2])
 @pytest.mark.parametrize("knocks", [0, 3])
-@pytest.mark.parametrize("share_of_gravity", [0.03, 0.1, 0.3])
+@pytest.mark.parametrize("share_of_gravity", [0.03, 0.3])
 def test_a_device_in_counts_that_is_shaken_was_not_turned_over(tmp_path, share_of_gravity, knocks, seeds):
     states = set()
     for seed in range(seeds):
@@ -280,18 +222,6 @@ def test_faces_of_a_real_session_are_what_they_are(tmp_path, in_counts, lossy, f
         assert up["xyz".index(face[1])] * (1 if face[0] == "+" else -1) > 9.0
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("unit", "in_counts"), [(0, False), (1, True), (2, True), *in_long((0, True), (1, False), (2, False))]
-)
-def test_free_poses_of_a_real_device_are_no_faces(tmp_path, unit, in_counts):
-    """The only long rest, the last, is tilted by 28 to 30 deg."""
-    with gzip.open(data_path("multipos_mpu9150", f"imu{unit}.log.gz"), "rt") as file:
-        d = np.loadtxt(file)
-    record = Record(time=np.arange(len(d)) / 100.0, gyro=d[:, 3:6], accel=d[:, :3])
-    assert captured_of(in_counts_about_mid_scale(record) if in_counts else record, tmp_path / "s") == {}
-
-
 def test_silence_is_said(guide, feed):
     assert guide.update(None, 0.0).state == "no readings"
     feed.watch(guide, 5.0)
@@ -313,21 +243,6 @@ def test_a_device_in_counts_with_an_unknown_zero_is_turned_over_once(guide):
             assert not feed.moved_in(held)
             up = np.linalg.solve(device.accel.forward_matrix, np.array(held.mean) - device.accel.raw_offset)
             assert up["xyz".index(face[1])] * (1 if face[0] == "+" else -1) == pytest.approx(9.8, abs=0.1)
-
-
-@pytest.mark.slow
-def test_the_unit_of_the_accelerometers_does_not_matter(tmp_path):
-    found = []
-    for number, factor in enumerate((1.0, 1e-6, 1e6)):
-        guide = SixFaces(Capture(tmp_path / str(number)))
-        with HandFeed(seed=6) as feed:
-            plain = feed.recent
-            feed.recent = lambda k=factor, plain=plain, **lost: (
-                lambda r: replace(r, accel=k * r.accel, gyro=k * r.gyro)
-            )(plain(**lost))
-            capture_faces(feed, guide)
-        found.append([(face, held.start_s) for face, held in guide.capture.faces.items()])
-    assert found[0] == found[1] == found[2]
 
 
 @pytest.mark.parametrize("unit", ["g", "count"])

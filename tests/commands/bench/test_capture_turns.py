@@ -8,17 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import undrift
 from testkit.guided import STEP_S, HandFeed, accel_as_six_faces_see_it, capture_faces, capture_turns, joint_factor
 from undrift.cli.app import run
 from undrift.commands.bench.capture import Capture
 from undrift.commands.bench.guides import WAYS, SixFaces, Turns
-from undrift.errors import InputError
-from undrift.io.session import read_session
 from undrift.io.store import read_calibration
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration
-from undrift.units import STANDARD_GRAVITY
 
 TURN = 2.0 * math.pi
 
@@ -76,33 +72,6 @@ def test_six_faces_and_six_turns_calibrate_both_triads_within_their_uncertainty(
     assert np.abs(np.diag(scale) - 1.0).max() < 0.01
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("preset", "seed"),
-    [
-        *[("enc03j_3031", 2), ("shimmer3", 1), ("bmi088", 2)],
-        *[("enc03j_3031", seed) for seed in (1, 3)],
-    ],
-)
-def test_curved_devices_of_data_sheets_over_a_link_that_loses_readings(guide, preset, seed):
-    """One reading in 500 is lost. A thermometer is off by up to 2 K: the truth is that of the board's own temperature."""
-    device = random_device(np.random.default_rng(seed), grade=preset)
-    with HandFeed(seed, device, lossy=0.002) as feed:
-        capture_faces(feed, SixFaces(guide.capture))
-        capture_turns(feed, guide, within_s=1200.0)  # a turn in which a reading is lost does not count
-        guide.capture.save()
-    made = undrift.calibrate(read_session(guide.capture.folder))
-    truth = true_calibration(device, temp_c=device.reference_temp_c)
-    matrix, offset = accel_as_six_faces_see_it(device)
-    for model, m, o in ((made.gyro, truth.gyro.matrix, truth.gyro.offset), (made.accel, matrix, offset)):
-        error = np.concatenate(((model.matrix - m).ravel(), model.offset - o))
-        assert (np.abs(error) < joint_factor(12) * np.sqrt(np.diag(model.covariance)[:12])).all()
-    mg = 1e3 / STANDARD_GRAVITY * np.abs(made.accel.matrix @ (offset - truth.accel.offset))
-    sigmas = np.abs(offset - truth.accel.offset) / np.sqrt(np.diag(made.accel.covariance)[9:12])
-    curved = ", ".join(f"{part:.2f} mg ({times:.0f} u)" for part, times in zip(mg, sigmas, strict=True))
-    print(f"  {preset} {seed}: a quadratic term is {curved} of the accelerometers' offsets")
-
-
 def test_each_turn_lies_between_two_rests_and_all_are_apart_in_the_folder(complete):
     feed, guide = complete
     session = guide.capture.session()
@@ -131,19 +100,6 @@ def test_each_turn_lies_between_two_rests_and_all_are_apart_in_the_folder(comple
 
 
 @pytest.mark.slow
-def test_a_turn_the_other_way_is_what_it_was(guide, feed):
-    assert guide.wanted == "+x"
-    lights = turn(feed, guide, "z", -TURN)
-    assert list(guide.done) == ["-z"]
-    assert guide.outcome == "Captured: about z, clockwise."
-    assert lights[-1].text == "Captured: about z, clockwise. Lay it with +x up."
-    states = [light.state for light in lights]
-    order = [state for k, state in enumerate(states) if k == 0 or state != states[k - 1]]
-    assert order == ["moving", "settling", "still", "moving", "settling", "still"]
-    assert "Turning. Go back to the mark." in [light.text for light in lights]
-
-
-@pytest.mark.slow
 def test_a_device_that_is_laid_on_another_face_was_not_turned(guide, feed):
     for face in ("+x", "-z", "+y"):
         feed.watch(guide, 6.0)
@@ -155,13 +111,6 @@ def test_a_device_that_is_laid_on_another_face_was_not_turned(guide, feed):
 def test_a_device_whose_zero_is_not_known_yet_is_turned_over_first(guide):
     with HandFeed(seed=5, device=random_device(np.random.default_rng(5), grade="enc03j_3031")) as feed:
         assert turn(feed, guide, "z")[-1].state == "unknown face"
-    assert guide.done == {}
-
-
-def test_a_touch_is_no_turn(guide, feed):
-    feed.watch(guide, 6.0)
-    feed.held.lay("+z")
-    feed.watch(guide, 8.0)
     assert guide.done == {}
 
 
@@ -206,26 +155,6 @@ def test_a_turn_with_a_gap_does_not_count(guide, feed):
     lights = turn(feed, guide, "z", drop=(at + 2.0, at + 2.3))
     assert guide.done == {}
     assert any(light.text.startswith("Gap in the readings: that turn does not count.") for light in lights)
-
-
-def test_silence_forgets_the_rest_before(guide, feed):
-    feed.watch(guide, 6.0)
-    assert guide.update(None, feed.clock.now() + 5.0).state == "no readings"
-    assert guide._before is None
-
-
-@pytest.mark.slow
-def test_redo_replaces_one_turn(guide, feed):
-    turn(feed, guide, "z")
-    first = guide.done["+z"]
-    guide.redo("+z")
-    assert guide.wanted == "+z"
-    turn(feed, guide, "z")
-    assert guide.done["+z"].start_s > first.stop_s
-    assert guide.wanted == "+x"
-    assert len(guide.capture.turns) == 1
-    with pytest.raises(InputError, match=r"redo: expected one of \+x, .*, got 'up'. Name a turn"):
-        guide.redo("up")
 
 
 @pytest.mark.slow

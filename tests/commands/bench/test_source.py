@@ -1,19 +1,13 @@
 """Source: what a page sees is what the device sent; a lost device comes back."""
 
 import math
-import os
-import socket
-import threading
-import time
 from collections.abc import Iterator
-from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from testkit.pseudo_terminal import open_pseudo_terminal
-from testkit.talking_device import CHANNELS, TalkingDevice, resting
+from testkit.talking_device import TalkingDevice
 from testkit.waiting import eventually
 from undrift import read_record
 from undrift.commands.bench.source import KEEP_S, LiveDevice
@@ -54,15 +48,6 @@ def test_recent_readings_are_the_newest_in_the_units_of_the_device(source: LiveD
     assert status.sample_rate_hz == pytest.approx(200.0, rel=0.1)  # of a busy machine
     assert (status.lost, status.garbled) == (0, 0)
     assert status.temp_c == pytest.approx(25.0 + 1e-4 * status.readings, abs=0.05)
-
-
-def test_lost_readings_are_counted_and_marked(source: LiveDevice, talker: TalkingDevice):
-    talker.leave_out = lambda k: k % 10 == 3
-    eventually(lambda: source.status().lost >= 20, "lost readings")
-    record = source.recent(1.0)
-    gaps = np.isnan(record.gyro[:, 0])
-    assert gaps.sum() == pytest.approx(len(record) / 10, abs=2)
-    np.testing.assert_allclose(np.diff(record.time), 0.005, rtol=1e-6)
 
 
 def test_a_silent_device_is_an_error_in_one_line_and_comes_back_by_itself(source: LiveDevice, talker: TalkingDevice):
@@ -148,49 +133,3 @@ def test_a_full_disk_ends_the_file_with_a_reason_and_the_readings_go_on(
     eventually(lambda: source.status().readings > number, "readings")
     source.write_to(tmp_path / "next.csv")
     assert source.status().file_error == ""
-
-
-@pytest.mark.parametrize("kind", ["udp", "serial"])
-def test_other_ways_than_a_socket_bring_the_same_readings(kind: str):
-    lines = [f"{k},{resting(k)}\n".encode() for k in range(400)]
-    options = f"channels={CHANNELS}&rate=200&gyro_unit=dps&accel_unit=m/s2"
-    with ExitStack() as stack:
-        if kind == "serial":
-            near, far = open_pseudo_terminal()
-            stack.callback(os.close, near)
-            stack.callback(os.close, far)
-            place, send = f"//{os.ttyname(far)}", lambda line: os.write(near, line)
-        else:
-            out = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
-            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-                free.bind(("127.0.0.1", 0))
-                port = free.getsockname()[1]
-            place, send = f"//127.0.0.1:{port}", lambda line: out.sendto(line, ("127.0.0.1", port))
-
-        def talk() -> None:
-            for line in lines:
-                send(line)
-                time.sleep(0.004)
-
-        source = LiveDevice(f"{kind}:{place}?{options}")
-        talker = threading.Thread(target=talk)
-        timer = threading.Timer(0.3, talker.start)
-        timer.start()
-        source.start()
-        try:
-            eventually(lambda: source.status().readings >= 390, "nearly all readings")
-            timer.join()
-            talker.join()
-        finally:
-            source.stop()
-        whole = source.recent(KEEP_S)
-        first = round(whole.temp_c[0] * 1e4 - 25e4)
-        np.testing.assert_allclose(whole.temp_c, 25.0 + 1e-4 * np.arange(first, first + len(whole)), atol=1e-9)
-        assert source.status().lost == 0
-
-
-def test_a_file_of_nothing_is_no_file(talker: TalkingDevice, tmp_path: Path):
-    source = LiveDevice(talker.address)
-    source.write_to(tmp_path / "live.csv")
-    assert source.stop_writing() is None
-    assert list(tmp_path.iterdir()) == []

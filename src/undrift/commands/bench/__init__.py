@@ -6,7 +6,6 @@ and turns. The pages (web/) show this state. NiceGUI is not imported here.
     source.py       the connected device: readings, recording to a file, automatic reconnection
     capture.py      the readings of a guided session: rests, the face that is up, the session's folder
     guides.py       instructions, step by step: six faces, then whole turns about each axis
-    look.py         the content of a file: description, rests and turns, and what the page draws
 
 Frames: readings are in the device's axes. Faces and directions of turns refer to these axes (``+z`` is up, ``+x`` is a
 turn about x, counter-clockwise seen with x up). Units: readings keep the device's units. Temperatures are in degC and

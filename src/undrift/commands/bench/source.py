@@ -6,26 +6,25 @@ written to a file while a file is open. Time continues over a lost connection, w
 
 import itertools
 import math
+import os
 import threading
 import time
 from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.base.clock import Clock
 from undrift.errors import InputError, LinkError, UndriftError
 from undrift.io.text import Appender
+from undrift.live.hands import HandHeld
 from undrift.live.log import described_address
 from undrift.live.recorder import Recorder
 from undrift.live.transports import lsl_streams, serial_ports, source_at
 from undrift.record import Record, joined
-
-if TYPE_CHECKING:
-    from undrift.live.hands import HandHeld
 
 PERIOD_S = 1.0 / 15.0  # between two looks at the recorder, host s
 KEEP_S = 120.0  # device s
@@ -48,11 +47,6 @@ class Status:
     file: Path | None  # file that is being written
     file_error: str  # reason why the last file ended early, or ""
     file_s: float  # length of the file, device s
-
-
-def listened(address: str) -> str:
-    """Return an address with the format of the device's data, which is determined by listening if necessary."""
-    return described_address(address)[0]
 
 
 def found_devices() -> tuple[list[tuple[str, str]], list[str]]:
@@ -230,23 +224,17 @@ class LiveDevice:
                 self.file, self._log, self._unwritten = None, None, []
 
 
-class PracticeDevice:
+def connected(address: str) -> LiveDevice:
+    """Connect the device at an address. If the address does not state the format of the data, it is found by listening."""
+    device = LiveDevice(described_address(address)[0])
+    device.start()
+    return device
+
+
+class PracticeDevice(HandHeld):
     """The simulated device in an operator's hands that a bench starts if no real device is there."""
 
-    def __init__(self) -> None:
-        self.device: HandHeld | None = None
-
-    def start(self, seed: int | None, speed: float, gravity_m_s2: float) -> str:
-        """Start the device unless it is running, and return its address."""
-        from undrift.base.clock import Clock
-        from undrift.live.hands import HandHeld
-
-        if self.device is None:
-            self.device = HandHeld(seed=seed, clock=Clock.started(speed), gravity_m_s2=gravity_m_s2)
-        return self.device.address
-
-    def close(self) -> None:
-        """Stop the device. Repeated calls have no effect."""
-        if self.device is not None:
-            self.device.close()
-        self.device = None
+    def __init__(self, gravity_m_s2: float) -> None:
+        seed, speed = (os.environ.get(f"UNDRIFT_PRACTICE_{name}", "") for name in ("SEED", "SPEED"))
+        clock = Clock.started(float(speed or 1.0))
+        super().__init__(seed=int(seed) if seed else None, clock=clock, gravity_m_s2=gravity_m_s2)
