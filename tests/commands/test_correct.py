@@ -10,8 +10,6 @@ import pytest
 
 from testkit.command_line import contents
 from undrift.io.formats import read_record, write_record
-from undrift.io.store import read_calibration, write_calibration
-from undrift.model import DriftTables, StaticDrift, WarmUp
 
 
 @pytest.mark.parametrize("name", ["c.parquet", "c.csv", "c.csv.gz"])
@@ -55,50 +53,6 @@ def test_a_file_beside_the_output_that_is_read_is_not_written_over(undrift, benc
     line = undrift.refused("correct", bench / "trial.parquet", "--calibration", model, "-o", tmp_path / "c.csv")
     assert "this file is also read" in line
     assert contents(tmp_path) == before
-
-
-@pytest.fixture
-def tuned(bench, tmp_path):
-    """The bench's calibration with a table of which the cold end is extrapolated, hysteresis and warm-up; a ramp through it."""
-    c = read_calibration(bench / "calibration.json")
-    static = StaticDrift(
-        temp_c=[20.0, 25.0, 30.0],
-        gyro_offset=np.tile(c.gyro.offset, (3, 1)),
-        gyro_uncertainty=np.full((3, 3), 0.5),
-        gyro_extrapolated=[True, False, False],
-        gyro_hysteresis=[1.0, 1.0, 1.0],
-        warm_up=WarmUp(power_on_s=[0.0, 600.0], gyro_offset=[[9.0, 9.0, 9.0], [0.0, 0.0, 0.0]]),
-    )
-    write_calibration(replace(c, drift=DriftTables(static=static)), tmp_path / "tuned.json")
-    raw = read_record(bench / "trial.parquet")
-    raw = replace(raw, temp_c=np.linspace(17.5, 32.5, len(raw)))
-    for name in ("ramp.parquet", "ramp.csv"):
-        write_record(raw, tmp_path / name)
-    return raw
-
-
-@pytest.mark.slow
-def test_time_outside_and_at_extrapolated_nodes_is_told_in_text_and_json(undrift, tuned, tmp_path):
-    words = ["--calibration", tmp_path / "tuned.json", "--policy", "hold"]
-    lasts = len(tuned) / tuned.sample_rate_hz
-    answers = [
-        undrift.good("correct", tmp_path / name, *words, "-o", tmp_path / f"out.{name}", "--json").json()
-        for name in ("ramp.parquet", "ramp.csv")
-    ]
-    for told in answers:
-        row = told["data"]
-        assert row["seconds_outside"] == pytest.approx(lasts / 3.0, abs=0.05)  # 2.5 degC of 15 at either end
-        assert row["seconds_extrapolated"] == pytest.approx(lasts / 3.0, abs=0.05)  # 20 to 25 degC
-        assert row["samples_outside"] == pytest.approx(row["seconds_outside"] * tuned.sample_rate_hz)
-        assert [(one["code"], one["level"]) for one in told["findings"]] == [
-            ("correct.outside", "warn"), ("correct.outside", "warn"),
-        ]  # fmt: skip
-        assert [one["values"]["seconds"] for one in told["findings"]] == [
-            row["seconds_outside"], row["seconds_extrapolated"],
-        ]  # fmt: skip
-        assert any("Hysteresis" in note for note in told["notes"])
-        assert any("warm-up" in note for note in told["notes"])
-    assert answers[0]["findings"] == answers[1]["findings"], "streamed and at once"
 
 
 @pytest.mark.slow

@@ -4,34 +4,9 @@ import numpy as np
 import pytest
 
 from testkit.command_line import at_rest, contents
-from testkit.data import data_path, show
+from testkit.data import show
 from undrift.io.formats import write_record
 from undrift.record import Record
-
-MAP = (
-    'sample_rate_hz = 100\nskip_rows = 4\ncolumns = { gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"] }\n'
-    'units = { gyro = "count", accel = "count" }\n'
-)
-
-
-def test_a_board_at_rest_for_seven_minutes(undrift, tmp_path):
-    (tmp_path / "map.toml").write_text(MAP)
-    path = data_path("static_mpu6050", "example_data_tinit_calc.csv.gz")
-    answer = undrift.good("noise", path, "--map", tmp_path / "map.toml", "--json").json()
-    told = answer["data"]
-    assert [axis["axis"] for axis in told["gyro"]] == ["x", "y", "z"]
-    for axis in told["gyro"] + told["accel"]:
-        for name in ("angle_random_walk", "bias_instability", "rate_random_walk"):
-            assert axis[name].keys() == {"value", "interval", "unit", "reason"}
-        assert axis["angle_random_walk"]["interval"][0] < axis["angle_random_walk"]["value"]
-    walk = [axis["angle_random_walk"]["value"] / 131.0 for axis in told["gyro"]]  # 131 counts per deg/s, SOURCE.md
-    show(
-        "angle random walk, deg/s/sqrt(Hz)",
-        np.round(walk, 5),
-        "0.005 in the data sheet of the MPU-6050, within a factor of 3",
-    )
-    assert all(0.005 / 3.0 < value < 0.005 * 3.0 for value in walk)
-    assert all(len(answer["tables"][f"allan_deviation_{name}"]) > 5 for name in ("gyro", "accel"))
 
 
 def test_what_noise_refuses(undrift, bench, tmp_path):
