@@ -13,7 +13,7 @@ from testkit.plain_triad import plain_triad
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.expanded import coverage_factors, expand
 from undrift.errors import InputError
-from undrift.io.store import calibration_text, read_calibration
+from undrift.io.store import read_calibration, write_calibration
 from undrift.model import SOURCES, Budget, Calibration
 from undrift.report import Estimate
 from undrift.report.certificate import SOURCE_ROWS, certificate_report, write_certificate
@@ -129,7 +129,7 @@ def test_the_truth_lies_inside_the_expanded_uncertainty(devices: int) -> None:
 
 def test_the_same_calibration_gives_the_same_bytes(calibration: Calibration, tmp_path) -> None:
     page(calibration, tmp_path / "a.html")
-    (tmp_path / "c.json").write_text(calibration_text(calibration, "c.json"))
+    write_calibration(calibration, tmp_path / "c.json")
     page(read_calibration(tmp_path / "c.json"), tmp_path / "b.html")
     first = (tmp_path / "a.html").read_bytes()
     assert first.startswith(b"<!doctype html>")

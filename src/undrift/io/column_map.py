@@ -208,7 +208,8 @@ def naming(source: str | Path) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        raise type(error)(f"{source}: {error}" if source else str(error), **error.numbers) from error
+        is_named = not source or str(error).startswith(f"{source}: ")
+        raise type(error)(str(error) if is_named else f"{source}: {error}", **error.numbers) from error
 
 
 def check_parts(how: ColumnMap) -> None:

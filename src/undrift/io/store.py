@@ -6,7 +6,7 @@ A key with a default is written only if its value differs from the default, so t
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -49,12 +49,7 @@ def write_calibration(calibration: Calibration, path: Path | str) -> None:
     >>> undrift.read_calibration(path).device == calibration.device
     True
     """
-    write_whole(Path(path), calibration_text(calibration, str(path)))
-
-
-def calibration_text(calibration: Calibration, name: str) -> str:
-    """Return the text of a calibration file. The name is used in errors."""
-    return codec.json_text(calibration, name)
+    write_whole(Path(path), codec.json_text(calibration, str(path)))
 
 
 def read_calibration(path: Path | str) -> Calibration:
@@ -77,12 +72,7 @@ def read_calibration(path: Path | str) -> Calibration:
     """
     if is_imucal(Path(path)):
         return read_imucal(Path(path))
-    return calibration_of(codec.json_of(Path(path), Calibration), str(path))
-
-
-def calibration_of(content: Any, path: str) -> Calibration:
-    """Return the calibration of a parsed JSON object. Messages call it by `path`."""
-    return codec.value_of(Calibration, content, path)
+    return codec.value_of(Calibration, codec.json_of(Path(path), Calibration), str(path))
 
 
 def calibration_json(calibration: Calibration) -> dict[str, Any]:
@@ -91,13 +81,8 @@ def calibration_json(calibration: Calibration) -> dict[str, Any]:
 
 
 def content_hash(calibration: Calibration) -> str:
-    """Return the sha256 of a calibration's content, which equals the hash of its file's content."""
-    return hash_of(calibration_json(calibration))
-
-
-def hash_of(content: Mapping[str, Any]) -> str:
-    """Return the sha256 of a JSON object with sorted keys, without spaces, in UTF-8: the same however its file is laid out."""
-    text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    """Return the sha256 of a calibration: of its keys in alphabetical order, without spaces, so that the layout does not count."""
+    text = json.dumps(calibration_json(calibration), sort_keys=True, separators=(",", ":"), ensure_ascii=False)
     return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()  # names of files may be no UTF-8
 
 
