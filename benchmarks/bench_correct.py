@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.c_rival import compiled, pointer
 from benchmarks.figure import Figure, stopwatch
-from undrift.correction.correct import correct_whole
+from undrift.correction.correct import correct_checked
 from undrift.model import Calibration, DriftTables, DynamicDrift, StaticDrift, TriadModel
 from undrift.record import Record
 
@@ -99,9 +99,9 @@ def _matrices(record: Record) -> list[Figure]:
     rivals = {
         "copy": _copy(record, w, a, 1),
         "copies": _copy(record, w, a, cores),
-        "one": partial(correct_whole, record, c, out=(w, a), threads=1),
-        "all": partial(correct_whole, record, c, out=(w, a), threads=cores),
-        "fresh": partial(correct_whole, record, c),
+        "one": partial(correct_checked, record, c, check=False, out=(w, a), threads=1),
+        "all": partial(correct_checked, record, c, check=False, out=(w, a), threads=cores),
+        "fresh": partial(correct_checked, record, c, check=False),
         "fresh copy": lambda: (record.gyro.copy(), record.accel.copy()),
         "numpy": plain,
     }
@@ -161,17 +161,17 @@ def _tables(record: Record) -> list[Figure]:
     c, n = _calibration(_drift()), len(record)
     w, a = np.empty((n, 3)), np.empty((n, 3))
     rivals = {
-        "one": partial(correct_whole, record, c, out=(w, a), threads=1),
-        "two": partial(correct_whole, record, c, out=(w, a), threads=2),
+        "one": partial(correct_checked, record, c, check=False, out=(w, a), threads=1),
+        "two": partial(correct_checked, record, c, check=False, out=(w, a), threads=2),
     }
     library = compiled()
     if library:
         rivals["c"] = _c_tables(library, record, c, w, a)
     s = stopwatch(rivals, rounds=11)
     slow = stopwatch({"scipy": partial(_scipy, record, c)}, rounds=3)["scipy"]
-    correct_whole(record, c, out=(w, a), threads=1)
+    correct_checked(record, c, check=False, out=(w, a), threads=1)
     single = w.tobytes()
-    correct_whole(record, c, out=(w, a), threads=2)
+    correct_checked(record, c, check=False, out=(w, a), threads=2)
     figures = [
         Figure(
             "W2 correct with static and dynamic tables, out=, one thread",

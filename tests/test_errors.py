@@ -58,7 +58,3 @@ def test_an_error_travels_between_processes():
 def test_unknown_choice_is_refused_with_the_choices(make, name):
     with pytest.raises(errors.InputError, match=f"`{name}` must"):
         make()
-
-
-def test_choices_that_are_allowed_pass():
-    assert OrientSettings(method="vqf").method == "vqf"

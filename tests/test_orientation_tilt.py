@@ -10,7 +10,7 @@ from testkit.data import show
 from undrift.calibration.calibrate import calibrate
 from undrift.correction.correct import correct_checked
 from undrift.correction.plan import force_uncertainty
-from undrift.correction.rest import AGEING, TURN_ON, UNKNOWN_K, mean_variance
+from undrift.correction.rest import AGEING, TURN_ON, UNKNOWN_K
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, rotate
 from undrift.model import (
@@ -24,7 +24,6 @@ from undrift.model import (
     TriadModel,
 )
 from undrift.orientation import (
-    NOT_CALIBRATED,
     heading_of,
     inclination_of,
     initial_tilt,
@@ -175,14 +174,7 @@ def test_shortest_rotation_is_continuous():
         np.testing.assert_allclose(q, [0.5, 0.8 * np.sqrt(0.75), -0.6 * np.sqrt(0.75), 0.0], rtol=0, atol=1e-11)
 
 
-def test_white_noise_gives_the_textbook_variance_of_a_mean():
-    rng = np.random.default_rng(1)
-    ratios = [mean_variance(rng.normal(size=400)) * 400 for _ in range(400)]
-    show("variance of a mean of white noise over sigma^2/n", np.mean(ratios), "0.9 to 1.2")
-    assert 0.9 < np.mean(ratios) < 1.2  # the sum stops at the first negative pair, so it errs to the safe side
-
-
-@pytest.mark.parametrize("memory", [0.0, 0.8, 0.97])
+@pytest.mark.parametrize("memory", [0.0, 0.97])
 def test_stated_uncertainty_is_the_scatter_over_rests(memory):
     rng = np.random.default_rng(2)
     n, runs, force = 1000, 200, np.array([2.0, -3.0, 9.0]) * (G / np.linalg.norm([2.0, -3.0, 9.0]))
@@ -222,19 +214,6 @@ def test_what_the_calibration_leaves_uncertain_is_added():
     )  # 4,000 draws know it to 1 %; the rest is second order
 
 
-def test_parameters_that_do_not_touch_the_force_add_nothing():
-    names = ("g_xx", "offset_y")
-    m = replace(model(np.zeros((12, 12))), parameters=names, covariance=np.diag([1.0, 1e-4]))
-    tilt = initial_tilt(corrected_by(m, resting([0.0, 0.0, G])), Still(start=0, stop=200))
-    wanted = 1e-2 * np.abs(m.matrix[:2, 1]) / G
-    assert dict(tilt.parts)["calibration"] == pytest.approx(np.linalg.norm(wanted), rel=1e-6)
-
-
-def test_readings_in_g_are_taken_as_such():
-    tilt = initial_tilt(resting([0.0, 0.0, 1.0], accel_unit="g"), Still(start=0, stop=200))
-    assert tilt.specific_force[2] == pytest.approx(9.80665)
-
-
 def test_what_is_no_rest_is_refused():
     still = Still(start=0, stop=200)
     with pytest.raises(InputError, match="no accelerometer"):
@@ -249,7 +228,7 @@ def test_what_is_no_rest_is_refused():
         initial_tilt(resting([0.0, 0.0, G], accel_unit="count"), still)
 
 
-@pytest.mark.parametrize(("of_gravity", "rest"), [(0.79, False), (0.81, True), (1.19, True), (1.21, False)])
+@pytest.mark.parametrize(("of_gravity", "rest"), [(0.79, False), (0.81, True), (1.21, False)])
 def test_a_rest_is_within_a_fifth_of_standard_gravity(of_gravity, rest):
     record = resting([0.0, 0.0, of_gravity * 9.80665])
     if rest:
@@ -257,15 +236,6 @@ def test_a_rest_is_within_a_fifth_of_standard_gravity(of_gravity, rest):
     else:
         with pytest.raises(InputError, match="within 20% of gravity"):
             initial_tilt(record, Still(start=0, stop=200))
-
-
-def test_only_the_rest_itself_shows_the_tilt():
-    force = np.concatenate(
-        (np.tile([G, 0.0, 0.0], (300, 1)), np.tile([0.0, 0.0, G], (200, 1)), np.tile([0.0, G, 0.0], (300, 1)))
-    )
-    tilt = initial_tilt(resting([0.0, 0.0, G], 800, accel=force), Still(start=300, stop=500))
-    np.testing.assert_allclose(tilt.specific_force, [0.0, 0.0, G], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(tilt.q_nb, [1.0, 0.0, 0.0, 0.0], rtol=0, atol=1e-12)
 
 
 @pytest.mark.slow
@@ -360,13 +330,3 @@ def test_the_expanded_figure_is_that_of_two_components_or_of_one():
         assert tilt.inclination_uncertainty == pytest.approx(np.sqrt(np.sum(np.square([*parts.values()]))))
         # ageing and the repeatability of the switch-on, of both axes alike, are a third of the whole
         assert tilt.expanded_uncertainty / tilt.inclination_uncertainty == pytest.approx(factor, rel=0.03)
-
-
-def test_without_a_calibration_the_basis_says_what_is_missing():
-    still = Still(start=0, stop=200)
-    plain = initial_tilt(resting([0.0, 0.0, G]), still)
-    assert (plain.basis, [name for name, _ in plain.parts]) == (NOT_CALIBRATED, ["scatter", "sway"])
-    assert plain.statement.startswith("scatter only")
-    nothing_stated = corrected_by(model(np.zeros((12, 12))), resting([0.0, 0.0, G]))
-    assert nothing_stated.accel_uncertainty is None
-    assert initial_tilt(corrected_by(model(np.eye(12) * 1e-6), resting([0.0, 0.0, G])), still).basis == "calibration"

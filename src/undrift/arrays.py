@@ -98,9 +98,7 @@ def freeze(value: Any, **lengths: int) -> None:
             continue
         what = f"{type(value).__name__}.{name}"
         wanted = tuple(lengths.get(d) if isinstance(d, str) else d for d in shape.dims)
-        if (
-            isinstance(content, list) and not content and not wanted[0]
-        ):  # an empty list from a file does not contain the row length
+        if isinstance(content, list) and not content and not wanted[0]:  # an empty list lacks the row length
             content = np.zeros((0, *(n or 0 for n in wanted[1:])))
         array = frozen(content, wanted, what, {float: np.float64, int: np.int64}.get(kind, kind))
         lengths |= {d: n for d, n in zip(shape.dims, array.shape, strict=True) if isinstance(d, str)}

@@ -134,8 +134,7 @@ def integrate_strapdown(
     if q.shape != (len(time), 4) or q.dtype != np.float64 or not q.flags.c_contiguous:
         raise InputError(
             f"strapdown: expected a float64 buffer of shape ({len(time)}, 4) in C order, got {q.dtype} {q.shape}. "
-            f"Create it "
-            "with numpy.empty."
+            "Create it with numpy.empty."
         )
     gyro = np.ascontiguousarray(gyro_b, dtype=np.float64).reshape(-1)
     strapdown(gyro, np.ascontiguousarray(time, dtype=np.float64), np.array(q_nb, dtype=np.float64), q.reshape(-1))

@@ -99,9 +99,8 @@ class TriadModel:
     While the device turns, ``moving_offset`` is also subtracted.
     """
 
-    method: (
-        str  # six-face, rate-table, known-rotation, multi-position, reference or motion, with the mode after a slash
-    )
+    # six-face, rate-table, known-rotation, multi-position, reference or motion, with the mode after a slash
+    method: str
     unit_in: str  # unit of the raw reading
     unit_out: str  # unit of the corrected value
     matrix: Annotated[FloatArray, Shape(3, 3)]  # sensor axes s to case b, unit_out per unit_in
@@ -274,9 +273,8 @@ class DynamicDrift:
     temp_c: Annotated[FloatArray, Shape("m", rising=True)]  # degC
     turn_rate: Annotated[FloatArray, Shape("k", rising=True)]  # nodes of the measured rate, rad/s
     error: Annotated[FloatArray, Shape("m", "k", 3)]  # measured minus true rate per axis, rad/s
-    uncertainty: Annotated[FloatArray | None, Shape("m", "k", 3), LATER] = (
-        None  # standard uncertainty of each node, rad/s
-    )
+    # standard uncertainty of each node, rad/s
+    uncertainty: Annotated[FloatArray | None, Shape("m", "k", 3), LATER] = None
     extrapolated: Annotated[BoolArray | None, Shape("m", "k"), LATER] = None  # True if no data were near the node
 
     def __post_init__(self) -> None:
@@ -379,10 +377,6 @@ class Provenance:
     def text(self, name: str) -> str:
         """Return a setting, or an empty string if it was not set."""
         return dict(self.settings).get(name, "")
-
-    def count(self, name: str, usual: int) -> int:
-        """Return an integer setting, or ``usual`` if it was not set."""
-        return int(self.text(name)) if self.text(name).isdigit() else usual
 
     def number(self, name: str, usual: float) -> float:
         """Return a numeric setting, or ``usual`` if it was not set."""

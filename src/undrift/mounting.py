@@ -32,11 +32,8 @@ Worn = Literal["lower-back", "thigh", "shank", "foot", "wrist"]
 Movement = Literal["walk", "bow"]
 Span = tuple[float, float]
 
-
-STANCE = (
-    0.6 * DEG,
-    0.9 * DEG,
-)  # standard uncertainty of upright about x and y, rad: sway of older people in quiet stance
+# standard uncertainty of upright about x and y, rad: sway of older people in quiet stance
+STANCE = (0.6 * DEG, 0.9 * DEG)
 # usual scatter of the pieces, rad, of simulated people, rounded up, error that all pieces share, rad, and fewest pieces
 SCATTER = {"walk": 1.5 * DEG, "bow": 3.0 * DEG}
 SHARED = {"walk": 0.7 * DEG, "bow": 2.0 * DEG}
@@ -74,9 +71,8 @@ class _Track:
 
 
 RECORD_AGAIN = (
-    "Stand upright and still for 3 s, walk straight for 8 s and halt, four times, or bow twice or more (`movement`). Check "
-    "that the "
-    "device does not slip."
+    "Stand upright and still for 3 s, walk straight for 8 s and halt, four times, or bow twice or more (`movement`). "
+    "Check that the device does not slip."
 )
 
 

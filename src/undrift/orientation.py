@@ -44,7 +44,7 @@ from undrift.correction.rest import (
 )
 from undrift.errors import InputError, check_choices
 from undrift.findings import Finding, finding
-from undrift.frames import integrate_strapdown, quaternion_conjugate, quaternion_product, rotate
+from undrift.frames import integrate_strapdown, quaternion_conjugate, quaternion_product, rotate, rotation
 from undrift.io.dataframes import orientation_frame
 from undrift.kernels.attitude import filtered_attitude
 from undrift.model import AXES, BodyMounting, TriadModel
@@ -218,8 +218,7 @@ def check_pitch_axes(q_nb: FloatArray, rest: slice | BoolArray | None, forward: 
             "orient.pitch_axes",
             "warn",
             f"Pitch from forward {forward} and up {up} does not match an upright segment: {when} the axis for up is "
-            f"{off_deg:.0f} deg "
-            "from the vertical.",
+            f"{off_deg:.0f} deg from the vertical.",
             f"Use {upward} for `up`, and +{axis} or -{axis} for `forward`, so that the pitch is positive when the segment "
             "leans forward.",
             up=upward,
@@ -290,9 +289,7 @@ class Orientation(Shown):
     @property
     def rotation(self) -> "Rotation":
         """The orientation as a scipy Rotation of N, body to level frame."""
-        from scipy.spatial.transform import Rotation
-
-        return Rotation.from_quat(self.q_nb, scalar_first=True)
+        return rotation(self.q_nb)
 
     def to_frame(self) -> "pd.DataFrame":
         """Return the orientation as a pandas DataFrame: time_s, q_w to q_z, and the angles in deg, as `orient` writes them."""
@@ -465,8 +462,7 @@ def _check_rest(record: Record, still: Still) -> tuple[Finding, ...]:
             "orient.rest_turns",
             "warn",
             f"The device is not at rest from {start_s:.6g} to {stop_s:.6g} s: its rates vary by "
-            f"{spread / RADIAN_PER_DEGREE:.3g} deg/s rms, "
-            f"and gravity turns by {tilt / RADIAN_PER_DEGREE:.2g} deg.",
+            f"{spread / RADIAN_PER_DEGREE:.3g} deg/s rms, and gravity turns by {tilt / RADIAN_PER_DEGREE:.2g} deg.",
             "Name a stretch in which the device is at rest, or record a rest.",
         ),
     )
@@ -482,8 +478,7 @@ def _expected_drift(record: Record, anchor: int, uncertainty: float, *, rested: 
         "orient.drift",
         "warn" if uncertainty * duration > WARN_DRIFT else "info",
         f"Expect a strapdown drift of {drift_deg:.2g} deg: the offset is uncertain by {offset_dps:.2g} deg/s, over "
-        f"{duration:.0f} s "
-        f"from {start} to the far end.",
+        f"{duration:.0f} s from {start} to the far end.",
         "Subtract the offset (`offset` rest or motion), or use the filter (`method` vqf).",
         drift_deg=drift_deg,
         offset_dps=offset_dps,

@@ -38,9 +38,8 @@ class ForceUncertainty:
     # lowest and highest temperature for which offsets and matrix were determined, degC, NaN if unknown
     offset_temp_c: Annotated[FloatArray, Shape(2)]
     matrix_temp_c: Annotated[FloatArray, Shape(2)]
-    per_k: Annotated[
-        FloatArray, Shape(2)
-    ]  # standard deviation per kelvin outside this range: offset (m/s2), scale (relative)
+    # standard deviation per kelvin outside this range: offset (m/s2), scale (relative)
+    per_k: Annotated[FloatArray, Shape(2)]
     step: Annotated[FloatArray, Shape(3)]  # code step, m/s2, 0 if unknown
     calibrated: str = ""  # time of the calibration, ISO 8601, UTC, "" if unknown
 
@@ -354,7 +353,7 @@ def _choose_clock(counts: Sequence[int], time: ArrayLike | None, sample_rate_hz:
 
 Face = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 Axis = Literal["x", "y", "z"]
-Kind = Literal["calibration", "thermal", "static", "set-points"]
+Kind = Literal["calibration", "thermal", "static"]
 Mounting = Literal["each", "one"]
 GravitySource = Literal["stated", "latitude and height", "standard"]
 FACES: tuple[Face, ...] = ("+x", "-x", "+y", "-y", "+z", "-z")
@@ -477,26 +476,13 @@ class RateTable:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SetPointMeans:
-    """Properties of means over set-points. Each of the N rows of the record is a mean, not a sample."""
-
-    rate_b: Annotated[FloatArray, Shape("n", 3)]  # imposed rate, rad/s, 0 at rest
-    # standard uncertainty of the mean, in the unit of the record, NaN if unknown
-    gyro_uncertainty: Annotated[FloatArray, Shape("n", 3)]
-    accel_uncertainty: Annotated[FloatArray, Shape("n", 3)]
-
-    def __post_init__(self) -> None:
-        freeze(self)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Session:
     """Recordings of a device, with labels for rests and turns.
 
     Parameters
     ----------
     kind : str
-        calibration, thermal, static, or set-points (each row of the records is a mean over a set-point).
+        calibration, thermal or static.
     serial, gravity_m_s2 : str, float
         Serial number of the device, and local gravity, m/s2.
     records : tuple of Record
@@ -514,8 +500,6 @@ class Session:
     mounting : str or None
         For a fit to references: "one" if device and reference body were mounted once for all recordings, "each" if a small
         rotation is fitted for each recording. None if unknown.
-    means : tuple of SetPointMeans
-        Properties of the rows of each record in a session of set-points, otherwise empty.
 
     Examples
     --------
@@ -539,16 +523,10 @@ class Session:
     sensitivity: TemperatureSensitivity = TemperatureSensitivity()
     rate_table: RateTable = RateTable()
     mounting: Mounting | None = None
-    means: tuple[SetPointMeans, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.records:
             raise InputError("session: expected one recording or more, got none. Add a [[recording]] to session.toml.")
-        if (self.kind == "set-points") != bool(self.means) or (self.means and len(self.means) != len(self.records)):
-            raise InputError(
-                f"session: a table of means belongs to each recording of kind set-points and to no other, got kind "
-                f"{self.kind} with {len(self.means)} for {len(self.records)}. Give the means with the records."
-            )
         if len(self.serial) > 200 or not self.serial.isprintable():
             raise InputError(
                 f"session: expected a serial number of up to 200 printable characters, got {len(self.serial)}. Correct it."

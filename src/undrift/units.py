@@ -13,10 +13,7 @@ from undrift.errors import InputError
 # ---- the Earth: rotation rate and local gravity
 
 EARTH_RATE = 7.292115e-5  # rad/s, WGS 84
-_LOWEST, _HIGHEST = (
-    -5000.0,
-    100e3,
-)  # m, from below the deepest mine to above all aircraft and the range of the series in height
+_LOWEST, _HIGHEST = -5000.0, 100e3  # m, from below the deepest mine to above all aircraft and the range of the series
 
 
 def gravity_at(latitude_deg: float, height_m: float = 0.0) -> float:
@@ -49,10 +46,8 @@ def gravity_at(latitude_deg: float, height_m: float = 0.0) -> float:
 Quantity = Literal["rate", "accel", "temp", "time", "mag", "length"]
 
 STANDARD_GRAVITY = 9.80665  # m/s2, ISO 80000-3
-INHABITED_GRAVITY = (
-    9.780,
-    9.832,
-)  # m/s2, equator to pole, with a standard uncertainty of 0.15 % for a uniform distribution
+# m/s2, equator to pole, with a standard uncertainty of 0.15 % for a uniform distribution
+INHABITED_GRAVITY = (9.780, 9.832)
 RADIAN_PER_DEGREE = math.pi / 180.0
 ZERO_CELSIUS_K = 273.15  # K, of 0 degC
 

@@ -29,13 +29,6 @@ def test_the_thousand_point_set_gives_the_published_deviations() -> None:
     np.testing.assert_allclose(got, GOLDEN, atol=5.1e-9)  # printed to eight decimals
 
 
-def test_white_rate_noise_has_its_random_walk_at_one_second() -> None:
-    rate = 0.005 * np.sqrt(100.0) * np.random.default_rng(0).normal(size=720_000)  # 2 h at 100 Hz
-    got = allan_deviation(rate, 100.0, taus=[1.0]).deviation[0]
-    show("OADEV(1 s) of ARW 0.005", got, 0.00501)
-    assert abs(got / 0.005 - 1.0) < 0.01
-
-
 def test_a_resting_mpu6050_has_the_noise_its_maker_states() -> None:
     with gzip.open(data_path("static_mpu6050", "example_data_tinit_calc.csv.gz"), "rt") as file:
         log = np.loadtxt(file, delimiter=",", skiprows=5)

@@ -318,12 +318,3 @@ def test_a_young_person_stands_as_the_young_category_does() -> None:
     rows = stood("BDS00033", 63.4, "young")
     pairs = [(rows[name], rows[name].real * ratio) for name, ratio in CLOSED.items()]
     judged([*pairs, *((rows[name], rows[name].real) for name in UNSCALED)], "young, stance")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("measure", ["centre of pressure AP, rms", "sway area, 95 % ellipse"])
-def test_people_sway_more_from_young_to_impaired(measure: str) -> None:
-    order: tuple[CategoryName, ...] = ("young", "elderly", "level_2", "impaired")
-    medians = [stood("BDS00033", 63.4, kind)[measure].median for kind in order]
-    show(f"{measure}: medians of {', '.join(order)}", np.round(medians, 2))
-    assert medians == sorted(medians)

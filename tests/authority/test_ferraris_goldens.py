@@ -180,15 +180,3 @@ def test_the_affine_offset_of_the_example_session():
     np.testing.assert_allclose(fit.model.offset, [0.55113924, -0.61972667, 0.38564410], atol=5e-9)
     show("affine: rms residual on an axis, m/s2", fit.model.rms_residual, "0.01308 (in sample, all samples pooled)")
     assert fit.model.rms_residual < 0.0131
-
-
-def test_first_row_of_the_example_is_corrected_as_published():
-    record, ranges = example()
-    stills, turns = pieces(ranges, -360.0)
-    forward, offset = accel_closed_form(face_readings(record, stills))
-    data = rotation_rows([record], stills, turns, matrix=np.linalg.inv(forward), offset=offset)
-    model = fit_known_rotation(data, gravity=G, mode="paper").model
-    force = np.linalg.solve(forward, record.accel[0] - offset)
-    np.testing.assert_allclose(force, [9.827509503062053, -0.047742624123060955, -0.015169203751548592], rtol=1e-9)
-    rate = np.degrees(model.matrix @ (record.gyro[0] - model.offset) - model.g_sensitivity @ force)
-    np.testing.assert_allclose(rate, [-0.014105584278515125, 0.06153544603248425, 0.000950045631146391], atol=1e-9)

@@ -70,12 +70,3 @@ def test_wrong_conversion_of_the_st_sensor_is_measured(run):
     scale = fit.model.forward_matrix[1, 1] * np.pi / 180.0
     show(f"{run} LSM scale", f"{scale:.4f}", "0.848..0.855; 30.5 / 35 = 0.872 of the true sensitivity")
     assert 0.848 <= round(scale, 3) <= 0.855
-
-
-@pytest.mark.slow
-def test_both_runs_and_both_sensors_see_the_same_lag():
-    lags = {(run, sensor): clock_lag(run, sensor) for run in RUNS for sensor in ("bno", "lsm")}
-    show("lag, s", {key: round(lag, 3) for key, lag in lags.items()}, "BNO equal within 0.02, LSM within 0.05 of it")
-    # the standard uncertainty that the search states is 0.016 s for the BNO; vibration moves the LSM's by 0.04 s
-    assert abs(lags[RUNS[0], "bno"] - lags[RUNS[1], "bno"]) < 0.02
-    assert all(abs(lags[run, "lsm"] - lags[run, "bno"]) < 0.05 for run in RUNS)

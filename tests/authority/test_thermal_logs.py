@@ -97,44 +97,6 @@ def left(record, seconds, parity, nodes):
     return judged.gyro - at(fit.table.gyro_offset), judged.accel - at(accel), stated, beyond
 
 
-def left_of_bins(record, seconds, parity, width_c=0.5):
-    """Return what the plainest table leaves of the rest: means of the taught blocks of each half degree, lines between."""
-    taught, judged = (
-        blocks_of(thermal(record, stills=tuple(split_by(record, seconds)[k::2]))) for k in (parity, 1 - parity)
-    )
-    number = np.floor(taught.temp_c / width_c).astype(int)
-    each = [number == k for k in np.unique(number)]
-    at = np.array([taught.temp_c[rows].mean() for rows in each])
-    return tuple(
-        values
-        - np.column_stack(
-            [np.interp(judged.temp_c, at, column) for column in np.array([of[rows].mean(axis=0) for rows in each]).T]
-        )
-        for of, values in ((taught.gyro, judged.gyro), (taught.accel, judged.accel))
-    )
-
-
-@pytest.mark.slow
-def test_a_table_of_every_other_ten_seconds_serves_the_rest(warm_up):
-    nodes = np.arange(10.0, 29.6, 0.5)
-    parts = [left(warm_up, 10.0, parity, nodes) for parity in (1, 0)]
-    for gyro, accel, _, _ in parts:
-        show("left of the other half, mdeg/s", np.round(1e3 * np.sqrt((gyro**2).mean(axis=0)), 2))
-        show("accelerometers, mg", np.round(1e3 * np.sqrt((accel**2).mean(axis=0)), 3))
-    rms = 1e3 * np.sqrt((np.concatenate([gyro for gyro, _, _, _ in parts]) ** 2).mean(axis=0))
-    accel_rms = 1e3 * np.sqrt((np.concatenate([accel for _, accel, _, _ in parts]) ** 2).mean(axis=0))
-    # No limit of our own: the table must leave no more of the held-out blocks than means of half degrees do, within the standard
-    # error of the rms of so many blocks.
-    bins = [left_of_bins(warm_up, 10.0, parity) for parity in (1, 0)]
-    limit = 1e3 * np.sqrt((np.concatenate([gyro for gyro, _ in bins]) ** 2).mean(axis=0))
-    accel_limit = 1e3 * np.sqrt((np.concatenate([accel for _, accel in bins]) ** 2).mean(axis=0))
-    show("both halves, mdeg/s", np.round(rms, 2), f"{np.round(limit, 2)} by means of half degrees")
-    show("accelerometers, mg", np.round(accel_rms, 3), f"{np.round(accel_limit, 3)} likewise")
-    room = 1.0 + 1.0 / np.sqrt(2.0 * sum(len(gyro) for gyro, _ in bins))
-    assert (rms <= room * limit).all()
-    assert (accel_rms <= room * accel_limit).all()
-
-
 def left_of_plateaus(parity):
     """Fit on every other minute of both plateaus; return what is left of the other minutes, and their uncertainty."""
     records = [read_two_point(name) for name in ("BMI_270_cold_test.csv.gz", "BMI_270_hot_test.csv.gz")]

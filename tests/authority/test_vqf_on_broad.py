@@ -12,7 +12,7 @@ import pytest
 from testkit import vqf_trials
 from testkit.broad_trials import trial
 from testkit.data import show
-from undrift.orientation import OrientSettings, orient
+from undrift.orientation import orient
 
 PAGE = Path(__file__).parents[2] / "docs" / "orientation.md"
 
@@ -26,30 +26,6 @@ def test_the_table_of_the_page_is_what_the_trials_give():
     for name, values in errors.items():
         show(f"{name}: raw, corrected, with prior, strapdown, deg", np.round(values, 2), printed[name])
         np.testing.assert_allclose(values, printed[name], atol=0.02)  # deg: rounding, and another build of the filter
-
-
-@pytest.mark.slow
-def test_correction_takes_most_of_the_filters_error_away():
-    errors = vqf_trials.errors_deg()
-    raw, corrected, prior, _ = np.array(list(errors.values())).T
-    show("mean total error, deg: raw, corrected, with prior", (raw.mean(), corrected.mean(), prior.mean()))
-    assert prior.mean() < raw.mean() / 3.0
-    assert (prior < raw).all()
-    assert prior.mean() <= corrected.mean()
-    device_d = ["(D)" in name for name in errors]
-    assert raw[device_d].mean() > 5.0  # deg
-    assert prior[device_d].mean() < 0.8
-
-
-@pytest.mark.slow
-def test_the_offset_of_the_first_rest_keeps_strapdown_on_course():
-    record, reference = trial(5)
-    errors = {
-        offset: vqf_trials.total_error_deg(orient(record, None, OrientSettings(offset=offset)).q_nb, reference)
-        for offset in ("none", "rest")
-    }
-    show("BROAD 05 raw, strapdown, total error in deg", errors)
-    assert errors["rest"] < 0.15 * errors["none"]
 
 
 def test_the_stated_drift_is_of_the_size_that_optics_see():

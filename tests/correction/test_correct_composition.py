@@ -10,11 +10,8 @@ import numpy as np
 import pytest
 
 from testkit.full_calibration import GAP, STEPS, N, device, record, tables
-from undrift.calibration.calibrate import calibrate
 from undrift.correction.correct import correct, correct_checked
-from undrift.errors import InputError
 from undrift.model import DriftTables, DynamicDrift, ScaleDrift, StaticDrift
-from undrift.record import Session
 
 REFERENCE_C = 30.0
 LAW = np.array([[120.0, -80.0, 45.0], [0.9, -1.6, 0.4], [0.010, 0.004, -0.012]])  # counts, per degC, per degC^2
@@ -78,21 +75,6 @@ def test_a_constant_that_a_table_replaces_has_no_say(change):
     assert correct_checked(r, c).record.accel.tobytes() == correct_checked(r, other).record.accel.tobytes()
 
 
-def test_scale_table_of_the_constant_matrix_changes_nothing():
-    c, r = device(), record()
-    c = replace(c, reference_temp_c=np.nan)
-    same = ScaleDrift(
-        temp_c=STEPS,
-        gyro_matrix=np.tile(c.gyro.matrix, (115, 1, 1)),
-        accel_matrix=np.tile(c.accel.matrix, (115, 1, 1)),
-    )
-    table = DriftTables(static=StaticDrift(temp_c=STEPS, gyro_offset=np.tile(c.gyro.offset, (115, 1))), scale=same)
-    plain = correct(r, c)
-    got = correct(r, replace(c, drift=table))
-    np.testing.assert_allclose(got.gyro, plain.gyro, rtol=0, atol=1e-13)
-    np.testing.assert_allclose(got.accel, plain.accel, rtol=0, atol=1e-13)
-
-
 def test_dynamic_table_meets_the_rate_after_the_scale_table():
     c, rng = device(), np.random.default_rng(9)
     temp = np.linspace(20.0, 70.0, N)
@@ -109,11 +91,3 @@ def test_dynamic_table_meets_the_rate_after_the_scale_table():
     error = (0.02 + 0.001 * (temp - 18.0))[:, None] * measured * [1.0, -1.0, 0.5]
     got = correct(raw, replace(c, drift=table, reference_temp_c=np.nan))
     np.testing.assert_allclose(got.gyro, measured - error, rtol=0, atol=1e-12)  # a solve of values near 1000 counts
-
-
-def test_calibrating_anew_on_corrected_records_is_refused():
-    c = device(unit="si", drift=None)
-    once = correct(record(unit="si", temp_c=None), c)
-    session = Session(kind="calibration", serial="A", records=(once,), gravity_m_s2=9.81)
-    with pytest.raises(InputError, match="expected raw readings"):
-        calibrate(session)

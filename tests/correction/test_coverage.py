@@ -58,11 +58,6 @@ def test_dynamic_table_is_extrapolated_at_a_mark():
     assert 0 < done.extrapolated.sum() < hot.sum()
 
 
-def test_marks_of_a_scale_table_count():
-    drift = marked(tables(static=None, scale=STEPS, dynamic=None), scale=STEPS > 60.0)
-    np.testing.assert_array_equal(correct_checked(record(), device(drift=drift)).extrapolated, record().temp_c > 60.0)
-
-
 def test_readings_outside_the_table_are_not_extrapolated():
     marks = (STEPS < 30.0) | (STEPS > 70.0)
     c, r = device(drift=marked(tables(dynamic=None), static=marks)), record(low=10.0, high=80.0)
@@ -86,14 +81,6 @@ def test_raise_refuses_readings_far_beyond_the_data():
         correct_checked(record(high=63.9), c)
     with pytest.raises(DriftRangeError, match="18 to 63 degC"):
         Corrector(c, "raise").push_checked(record(high=63.9))
-
-
-def test_extrapolated_nodes_warn():
-    c = device(drift=marked(tables(dynamic=None), static=STEPS > 60.0, accel=False))
-    for policy in ("hold", "nan"):
-        done = correct_checked(record(), c, policy=policy)
-        assert np.isfinite(done.record.gyro).all()
-        assert f"{done.reach.seconds_extrapolated:.1f} s" in done.warnings[0]
 
 
 def test_tables_without_a_mark_or_met_elsewhere_give_no_warning():
@@ -140,20 +127,6 @@ def test_mark_on_a_node_of_rate_and_temperature_counts_there():
         c = device(g=False, gyro=model, drift=DriftTables(dynamic=error))
         r = record(9, gyro=np.repeat(rate, 3)[:, None] * np.ones(3), accel=None, temp_c=np.tile(temp, 3))
         np.testing.assert_array_equal(correct_checked(r, c).extrapolated, marks.T.ravel())
-
-
-def test_samples_of_an_even_clock_last_a_step_each():
-    time = 5.0 + np.arange(100) * 0.01
-    mask = np.zeros(100, dtype=bool)
-    mask[[0, 3, 99]] = True
-    assert seconds_of(mask, time, None) == pytest.approx(0.03)
-    assert seconds_of(~mask & mask, time, None) == 0.0
-
-
-def test_samples_of_an_uneven_clock_last_as_long_as_it_says():
-    time = np.cumsum(np.tile([0.017, 0.051], 500))  # the median of the steps is not their mean
-    mask = time > 17.0
-    assert seconds_of(mask, time, None) == pytest.approx(17.0, abs=0.06)  # one step at the edge
 
 
 def test_pieces_add_up_to_the_whole():

@@ -27,13 +27,6 @@ def test_even_grids_are_found_where_there_is_one():
     assert not evened([0.0, 1e-6, 1.0]).even  # too fine
 
 
-def test_an_even_grid_of_more_than_twice_the_nodes_is_not_used():
-    nodes = np.array([0.0, 1.0, 2.0, 30.0])
-    kept = evened(nodes)
-    assert not kept.even
-    np.testing.assert_array_equal(kept.nodes, nodes)
-
-
 @pytest.mark.slow
 @given(low=st.integers(-400, 400), parts=st.integers(1, 1000), cells=st.integers(1, 2000))
 def test_the_cell_of_an_even_table_is_found_without_a_search(low, parts, cells):
@@ -41,13 +34,6 @@ def test_the_cell_of_an_even_table_is_found_without_a_search(low, parts, cells):
     grid = grid_of(nodes)
     assert grid.inverse > 0.0
     assert grid.cells == cells
-
-
-def test_default_tables_need_no_search():
-    assert grid_of(STEPS).inverse == pytest.approx(2.0)  # per degC
-    assert grid_of(np.arange(18.0, 75.25, 0.5)).inverse > 0.0
-    assert grid_of(GAP).inverse > 0.0
-    assert grid_of(WILD).inverse == 0.0
 
 
 @pytest.mark.parametrize("nodes", [STEPS, WILD], ids=["even", "searched"])

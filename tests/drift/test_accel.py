@@ -90,13 +90,6 @@ def test_intervals_hold_offset_and_sensitivity():
     assert 0.87 < np.mean(np.abs(z_matrix) < 1.96) <= 1.0
 
 
-def test_two_temperatures_draw_a_line():
-    model = device()
-    fit = fitted(rests(model, everywhere(FACES, (25.0, 45.0))), model)
-    assert fit.extrapolated[0]
-    assert fit.extrapolated[-1]
-
-
 @pytest.mark.parametrize(
     "poses",
     [
@@ -109,12 +102,3 @@ def test_too_few_poses_at_two_temperatures_are_refused(poses):
     model = device()
     with pytest.raises(NotObservable, match="three temperatures"):
         fitted(rests(model, poses), model)
-
-
-def test_rests_without_readings_or_temperature_are_left_out():
-    model = device()
-    given = rests(model, everywhere(free_poses()))
-    temp = given.temp_c.copy()
-    temp[:2] = np.nan
-    fit = fitted(replace(given, temp_c=temp), model)
-    assert np.isfinite(fit.offset).all()

@@ -1,35 +1,25 @@
-"""From thermal sessions to tuning tables: every way a session may come, what is said of it, what is refused.
-
-Both tables of turns predict soaks that were left out.
-"""
+"""From thermal sessions to tuning tables: every way a session may come, what is said of it, what is refused."""
 
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
 
 from testkit.data import show
-from testkit.rate_steps import GRID, SOAKS, computed
 from undrift.correction.correct import correct, correct_checked
 from undrift.drift.fit import (
     DriftSettings,
-    _accelerometers,
     fit_drift,
     table_nodes,
 )
-from undrift.drift.rates import fit_dynamic, fit_scale, measured_rate, prepared
-from undrift.drift.verdict import without_tables
 from undrift.errors import InputError, NotObservable
 from undrift.export.constants import pair_at
 from undrift.record import Session
-from undrift.report.drift import drift_report
-from undrift.sim.device.effects import RateDrift
-from undrift.sim.device.presets import preset, random_device
-from undrift.sim.device.truth import true_calibration, true_tables
+from undrift.sim.device.presets import preset
+from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.bench import BenchSettings
 from undrift.sim.thermal import ChamberSettings, ThermalSettings, simulate_thermal_session
 
@@ -44,15 +34,6 @@ def _with_visits(session: Session, change: Callable[[Any, int, int], Any]) -> tu
         visits = np.searchsorted(edges, [piece.start for piece in pieces], "right") - 1
         labels[name] = tuple(change(piece, int(k), int(edges[k])) for piece, k in zip(pieces, visits, strict=True))
     return edges, labels
-
-
-def a_record_for_each_visit(session: Session) -> Session:
-    def moved(piece: Any, visit: int, first: int) -> Any:
-        return replace(piece, start=piece.start - first, stop=piece.stop - first, recording=visit)
-
-    edges, labels = _with_visits(session, moved)
-    parts = tuple(session.records[0].part(a, b) for a, b in pairwise(edges))
-    return replace(session, records=parts, **labels)
 
 
 def without_temperature(session: Session, set_points_c: tuple[float, ...]) -> Session:
@@ -141,17 +122,6 @@ def test_noisy_log_can_be_corrected_with_its_tables():
         assert not done.outside.any()
 
 
-def test_record_for_each_soak_gives_the_same_tables(fit):
-    many = a_record_for_each_visit(made())
-    assert len(many.records) > 5
-    split = fit_drift([many], CALIBRATION).calibration.drift.static
-    whole = fit.calibration.drift.static
-    shared = np.intersect1d(split.temp_c, whole.temp_c)
-    a, b = (t.gyro_offset[np.isin(t.temp_c, shared)] for t in (split, whole))
-    u = whole.gyro_uncertainty[np.isin(whole.temp_c, shared)]
-    assert (np.abs(a - b) < u).all()
-
-
 def test_set_points_alone_make_tables_with_a_finding(session):
     stated = without_temperature(made(), POINTS_C)
     points = fit_drift([stated], CALIBRATION)
@@ -219,12 +189,6 @@ def test_a_second_thermal_fit_takes_the_place_of_the_first(session, fit):
     np.testing.assert_array_equal(again.calibration.drift.static.gyro_offset, fit.calibration.drift.static.gyro_offset)
 
 
-def test_the_verdict_before_a_thermal_fit_is_found_again(fit):
-    assert without_tables(fit.calibration).verdict.reasons == CALIBRATION.verdict.reasons
-    assert without_tables(fit.calibration).verdict.status == CALIBRATION.verdict.status
-    assert without_tables(CALIBRATION) is CALIBRATION
-
-
 def test_six_faces_at_each_soak_determine_the_accelerometers(fit):
     six = fit_drift([made(settings=replace(QUICK_SOAKS, faces="six"))], CALIBRATION)
     assert six.accel is not None
@@ -257,122 +221,6 @@ def test_tables_without_a_calibration_can_be_exported(session):
     result = fit_drift([alone], settings=DriftSettings(tables="scale")).calibration
     assert result.reference_temp_c == pytest.approx(25.0)
     assert np.isfinite(pair_at(result).gyro.matrix).all()  # at the reference temperature
-
-
-def test_the_nodes_span_what_was_seen():
-    seen = fit_drift([warmed(80)], CALIBRATION, settings=DriftSettings(step_c=1.0)).calibration.drift.static.temp_c
-    assert 11.0 <= seen[0] < seen[-1] < 35.0
-    np.testing.assert_allclose(np.diff(seen), 1.0)
-
-
-def test_progress_is_reported_in_order(session):
-    stages = []
-    fit_drift([session], CALIBRATION, progress=lambda what, share: stages.append((what, share)))
-    shares = [share for _, share in stages]
-    assert len(stages) >= 4
-    assert shares == sorted(shares)
-    assert 0.0 <= shares[0] < shares[-1] < 1.0
-
-
-def test_log_that_went_one_way_leaves_hysteresis_unknown(fit):
-    single = fit_drift([warmed(80)], CALIBRATION)
-    one_way = {"drift.hysteresis_unknown"}
-    assert one_way <= {item.code for item in single.verdict.findings}
-    assert not one_way & {item.code for item in fit.verdict.findings}
-
-
-TEMPS = SOAKS[::2]
-FEW = GRID[1::2]
-NODES = np.arange(18.0, 75.01, 0.5)
-CUBIC = np.zeros((3, 2, 3))
-CUBIC[2, 1] = np.array([1.0, -1.0, 0.7]) * 1e-4
-
-
-def device(seed, **changes):
-    made = random_device(np.random.default_rng(seed), grade="enc03j_3031")
-    return replace(made, gyro=replace(made.gyro, nonlinearity=None, **changes))
-
-
-def fitted(made, seed=0, temps=TEMPS, steps=None):
-    """Return matrix and dynamic drift of computed steps, and the steps."""
-    if steps is None:
-        steps = computed(made, temps, np.random.default_rng(seed + 100), rates=FEW, noise_dps=0.008)
-    static, truth = true_tables(made, NODES, np.radians([-90.0, 90.0])).static, true_calibration(made).gyro
-    clean = prepared(steps, truth, static=static)
-    scale = fit_scale(clean, truth, temp_c=NODES)
-    return clean, scale, fit_dynamic(clean, truth, span_c=(18.0, 75.0), scale=scale.drift)
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"thermal_scale": None, "rate_drift": None},
-        {"rate_drift": None},
-        {"thermal_scale": None, "rate_drift": RateDrift(coefficients=CUBIC)},
-        {"rate_drift": RateDrift(coefficients=CUBIC)},
-    ],
-)
-@pytest.mark.parametrize("devices", [1, pytest.param(2, marks=pytest.mark.slow)])
-def test_both_tables_predict_a_soak_that_was_left_out(changes, devices):
-    for seed in range(devices):
-        made, truth = device(seed, **changes), true_calibration(device(seed, **changes)).gyro
-        clean, *_ = fitted(made, seed)
-        static, residuals = true_tables(made, NODES, np.radians([-90.0, 90.0])).static, []
-        assert static is not None
-        for soak in range(1, len(TEMPS) - 1):
-            out, rest = (clean.taken(rows) for rows in (clean.soak == soak, clean.soak != soak))
-            scale = fit_scale(rest, truth, temp_c=NODES)
-            dynamic = fit_dynamic(rest, truth, span_c=(18.0, 75.0), scale=scale.drift)
-            rate = measured_rate(out.reading, out.temp_c, truth, scale.drift)
-            error = rate - out.rate_b
-            for axis, surface in enumerate(dynamic.surfaces):
-                error[:, axis] -= surface.at(rate[:, axis], out.temp_c)
-            for mounting in np.unique(out.mounting):
-                error[out.mounting == mounting] -= error[out.mounting == mounting].mean(axis=0)
-            residuals.append(error)
-        rms = float(np.degrees(np.sqrt(np.mean(np.square(residuals)))))
-        show("left out, deg/s rms", f"{rms:.4f}", 1.25 * 0.008)
-        # The noise of the means is 0.008 deg/s, and no table predicts better; six soaks of 18 rates give
-        # the surface of the seventh to half of that: hypot(1, 0.5) = 1.12, and 1.25 with room for the draw.
-        assert rms < 1.25 * 0.008
-
-
-def test_soaks_that_turned_different_axes_are_refused():
-    made = device(0)
-    steps = computed(made, TEMPS[:2], np.random.default_rng(1), rates=FEW)
-    axis = np.abs(steps.rate_b).argmax(axis=1)
-    with pytest.raises(NotObservable, match="two soaks"):
-        fitted(made, steps=steps.taken(axis == steps.soak))
-
-
-def test_a_single_rate_in_a_soak_is_left_out_and_counted():
-    made = device(0, rate_drift=None)
-    steps = computed(made, TEMPS, np.random.default_rng(1), rates=np.radians([50.0]), noise_dps=0.004)
-    forward = steps.rate_b.sum(axis=1) > 0.0
-    with pytest.raises(NotObservable, match="two rates"):
-        fitted(made, steps=steps.taken(forward))
-    clean, *_ = fitted(made, steps=steps.taken(forward | (steps.soak > 0)))
-    assert np.unique(clean.soak).tolist() == [1, 2, 3, 4, 5, 6]
-    assert f"3 of {len(steps) - 3} rate steps" in clean.findings[0].text
-
-
-def test_poses_that_leave_accelerometers_open_are_named(fit):
-    nodes, one = fit.static.table.temp_c, replace(fit.rests, pose=np.zeros(len(fit.rests), np.int64))
-    assert _accelerometers(one, CALIBRATION, nodes)[1].findings == ()
-    result, verdict = _accelerometers(fit.rests, CALIBRATION, nodes)
-    (why,) = verdict.findings
-    assert result is None
-    assert why.code == "drift.not_observable"
-    assert "at three temperatures" in why.text
-
-
-def test_the_dynamic_table_spans_what_the_matrix_table_spans():
-    made = device(0)
-    steps = computed(made, TEMPS[1:-1], np.random.default_rng(1), rates=FEW, noise_dps=0.008)
-    _, scale, dynamic = fitted(made, steps=steps)
-    assert np.array_equal(dynamic.drift.temp_c, [18.0, *np.arange(20.0, 71.0, 5.0), 75.0])
-    assert dynamic.drift.extrapolated[[0, -1]].all()
-    assert scale.drift.gyro_extrapolated[[0, -1]].all()
 
 
 def test_nodes_reach_the_ends_of_the_notes_range():
@@ -415,10 +263,3 @@ def twice(session):
 def test_sessions_that_do_not_belong_together_are_refused(session, sessions, settings, words):
     with pytest.raises(InputError, match=words):
         fit_drift(sessions(session), CALIBRATION, settings=DriftSettings(**settings))
-
-
-def test_report_opens_with_the_errors_before_and_after(fit):
-    report = drift_report(fit)
-    before, rest, after, both = (row[1] for row in report.tables[0].rows)
-    assert both < after < rest < before  # the note's device: rest takes the offset, tables scale and dynamic drift too
-    assert "37.5 degC" in report.answer

@@ -7,11 +7,8 @@ import pytest
 
 from testkit.daily_use import DailyUseSettings, simulate_daily_use
 from testkit.data import show
-from undrift.cli.app import run
 from undrift.drift.fit import fit_drift
 from undrift.errors import NotObservable
-from undrift.io.formats import write_record
-from undrift.io.store import read_calibration, write_calibration
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_calibration
@@ -92,20 +89,6 @@ def test_a_recording_without_a_rest_is_left_out_with_a_finding(two_weeks, fitted
     np.testing.assert_array_equal(fit.static.table.gyro_offset, fitted.static.table.gyro_offset)
     with pytest.raises(NotObservable, match="rest"):
         fit_drift([walk], calibration)
-
-
-def test_the_command_takes_daily_recordings(two_weeks, fitted, tmp_path, capsys):
-    _, calibration, days = two_weeks
-    write_calibration(calibration, tmp_path / "c.json")
-    names = [tmp_path / f"2026-01-{day.number + 1:02}.parquet" for day in days]
-    for name, day in zip(names, days, strict=True):
-        write_record(day.session.records[0], name)
-    out = tmp_path / "c2.json"
-    assert run(["drift", *map(str, names), "--calibration", str(tmp_path / "c.json"), "-o", str(out)]) == 0
-    assert "between sessions" in capsys.readouterr().out
-    result = read_calibration(out)
-    np.testing.assert_allclose(result.drift.static.gyro_offset, fitted.static.table.gyro_offset, rtol=1e-6)
-    assert [name for name, _ in result.provenance.inputs][-DAYS:] == [name.name for name in names]
 
 
 # ---- the simulated days

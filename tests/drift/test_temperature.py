@@ -14,12 +14,11 @@ from testkit.column_maps import column_map
 from testkit.data import data_path, show
 from undrift.drift.observe import RestBlocks
 from undrift.drift.temperature import (
-    LagState,
+    NO_READING,
     Temperature,
     check_span,
     default_smooth_s,
     estimate_lag,
-    step_of,
     trusted_temperature,
     without_lag,
     without_lag_smooth,
@@ -33,13 +32,12 @@ TIME = np.arange(0.0, 2400.0, 0.1)
 WARM_UP = 10.0 + 19.0 * (0.3 * (1.0 - np.exp(-TIME / 90.0)) + 0.7 * (1.0 - np.exp(-TIME / 700.0)))
 
 
-def session(*columns, time=TIME, stills=()):
-    records = tuple(Record(time=time, gyro=np.zeros((len(time), 3)), temp_c=column) for column in columns)
+def of(*records, stills=()):
     return Session(kind="thermal", serial="A", gravity_m_s2=9.81, records=records, stills=stills)
 
 
-def of(record):
-    return Session(kind="thermal", serial="A", gravity_m_s2=9.81, records=(record,))
+def session(*columns, time=TIME, stills=()):
+    return of(*(Record(time=time, gyro=np.zeros((len(time), 3)), temp_c=column) for column in columns), stills=stills)
 
 
 # ---- smoothing ------------------------------------------------------------------------------------------------------------
@@ -47,15 +45,7 @@ def of(record):
 
 @pytest.mark.parametrize(
     ("step", "noise", "limit"),
-    [
-        (1.0, 0.0, 0.1),
-        (1.0, 0.1, 0.12),
-        (1.0, 0.2, 0.15),
-        (1.0, 0.3, 0.07),
-        (0.5, 0.0, 0.05),
-        (0.0, 0.5, 0.05),
-        (0.0, 0.02, 0.006),
-    ],
+    [(1.0, 0.0, 0.1), (1.0, 0.1, 0.12), (1.0, 0.3, 0.07), (0.0, 0.5, 0.05)],
 )
 def test_steps_and_noise_of_a_warm_up_are_smoothed_away(step, noise, limit):
     errors = []
@@ -64,15 +54,9 @@ def test_steps_and_noise_of_a_warm_up_are_smoothed_away(step, noise, limit):
         raw = np.round(raw / step) * step if step else raw
         temperature = trusted_temperature(session(raw), 0)
         errors.append(float(np.sqrt(np.mean((temperature.temp_c - WARM_UP) ** 2))))
-    worst = max(errors)
-    show(
-        f"step {step:g} K, noise {noise:g} K: worst rms error, K",
-        f"{worst:.4f}",
-        limit,
-    )
-    assert (
-        worst < limit
-    )  # a tenth of a coarse step; of fine ones what the mean of 30 s leaves of noise and of the steep start
+    show(f"step {step:g} K, noise {noise:g} K: worst rms error, K", f"{max(errors):.4f}", limit)
+    # a tenth of a coarse step; of fine ones what the mean of 30 s leaves of noise and of the steep start
+    assert max(errors) < limit
     assert temperature.findings == ()
 
 
@@ -83,35 +67,7 @@ def test_a_soak_between_ramps_keeps_its_level_within_half_a_step():
     assert float(np.sqrt(np.mean((temperature.temp_c - true) ** 2))) < 12.0**-0.5  # a step of 1 K
 
 
-def test_uneven_time_is_smoothed_too():
-    rng = np.random.default_rng(1)
-    time = np.cumsum(rng.choice((0.011, 0.017, 0.1, 2.8), 20000, p=(0.4, 0.4, 0.19, 0.01)))
-    true = 15.0 + 10.0 * (1.0 - np.exp(-time / 150.0))
-    temperature = trusted_temperature(session(true + rng.normal(0.0, 0.1, len(time)), time=time), 0)
-    assert float(np.sqrt(np.mean((temperature.temp_c - true) ** 2))) < 0.03
-
-
-def test_the_step_of_a_column_is_found():
-    assert step_of(np.round(WARM_UP * 8.0) / 8.0) == pytest.approx(0.125)
-    assert step_of(np.round(WARM_UP * 340.0) / 340.0) == pytest.approx(1.0 / 340.0)
-    assert step_of(WARM_UP) == 0.0
-    assert step_of(np.full(10, 25.0)) == 0.0
-
-
 # ---- plausibility ---------------------------------------------------------------------------------------------------------------
-
-
-def seen_in(raw, code, *, stills=(), **values):
-    temperature = trusted_temperature(session(raw, stills=stills), 0)
-    (seen,) = [seen for seen in temperature.findings if seen.code == code]
-    assert {name: seen.values[name] for name in values} == values
-    return temperature
-
-
-def test_a_good_column_gives_no_finding():
-    assert (
-        trusted_temperature(session(WARM_UP + np.random.default_rng(0).normal(0.0, 0.02, len(TIME))), 0).findings == ()
-    )
 
 
 def test_single_wild_readings_are_left_out():
@@ -130,7 +86,7 @@ def test_short_gaps_are_bridged_and_long_ones_stay():
     assert np.isnan(temperature.temp_c[-5:]).all()
 
 
-@pytest.mark.parametrize(("step", "noise"), [(0.0, 0.05), (0.1, 0.0), (0.5, 0.02)])
+@pytest.mark.parametrize(("step", "noise"), [(0.0, 0.05), (0.5, 0.02)])
 def test_a_soak_before_a_pause_does_not_reach_the_soak_after_it(step, noise):
     # One minute at each of four set-points, 15 degC and six minutes apart, in one recording.
     time = np.concatenate([400.0 * k + np.arange(0.0, 60.0, 0.1) for k in range(4)])
@@ -143,8 +99,9 @@ def test_a_soak_before_a_pause_does_not_reach_the_soak_after_it(step, noise):
 
 def test_a_column_that_denies_its_set_point_is_implausible():
     still = (Still(start=20000, stop=24000, temp_c=20.0),)
-    temperature = seen_in(WARM_UP, "drift.temperature_implausible", stills=still)
-    assert "set-point of 20.0 degC" in temperature.findings[0].text
+    (item,) = trusted_temperature(session(WARM_UP, stills=still), 0).findings
+    assert item.code == "drift.temperature_implausible"
+    assert "set-point of 20.0 degC" in item.text
 
 
 def test_set_points_stand_in_for_a_column():
@@ -161,47 +118,16 @@ def test_set_points_stand_in_for_a_column():
 @pytest.mark.parametrize(
     ("raw", "kind", "words"),
     [
-        (
-            None,
-            InputError,
-            "neither a column",
-        ),
-        (np.full(len(TIME), np.nan), InputError, "only 0 of 24000"),
+        (None, InputError, "neither a column"),
         (np.where(TIME < 500.0, WARM_UP, np.nan), InputError, "only 5000 of 24000"),
-        (
-            np.full(len(TIME), 25.0),
-            NotObservable,
-            r"25.00 to 25.00\) \(constant\)",
-        ),
-        (WARM_UP * 0.1, NotObservable, r"span 1.\d degC"),
-        (
-            WARM_UP + 100.0,
-            InputError,
-            r"125 degC at 841.2 s \(15588 readings\)",
-        ),
+        (np.full(len(TIME), 25.0), NotObservable, r"25.00 to 25.00\) \(constant\)"),
+        (25.0 + np.random.default_rng(0).normal(0.0, 0.5, len(TIME)), NotObservable, r"span 0\."),  # noise is no span
+        (WARM_UP + 100.0, InputError, r"125 degC at 841.2 s \(15588 readings\)"),
     ],
 )
 def test_what_no_thermal_fit_can_use_is_refused(raw, kind, words):
     with pytest.raises(kind, match=words):
         check_span([trusted_temperature(session(raw), 0)])
-
-
-def test_noise_is_no_span():
-    raw = 25.0 + np.random.default_rng(0).normal(0.0, 0.5, len(TIME))
-    assert np.ptp(raw) > 3.0
-    with pytest.raises(NotObservable, match=r"span 0\."):
-        check_span([trusted_temperature(session(raw), 0)])
-
-
-def test_recordings_at_several_temperatures_are_one_span():
-    flat = np.full(len(TIME), 20.0)
-    both = session(flat, flat + 10.0)
-    results = [trusted_temperature(both, k) for k in (0, 1)]
-    assert check_span(results) == pytest.approx(10.0)
-    with pytest.raises(NotObservable, match="constant"):
-        check_span(results[:1])
-    with pytest.raises(NotObservable, match="no recording has"):
-        check_span([replace(results[0], temp_c=np.full(3, np.nan))])
 
 
 # ---- real recordings: the SOURCE.md in the folder of each names origin and licence -----------------------------------------
@@ -213,9 +139,9 @@ def warm_up(column, scale=None):
     return read_counted(data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz"), columns).record
 
 
-@pytest.mark.parametrize(("column", "scale"), [("dTemp", ChannelScale(1.0 / 340.0, 36.53)), ("Temp", None)])
-def test_real_warm_up_comes_back_from_whole_degrees(column, scale):
-    record = warm_up(column, scale)
+def test_real_warm_up_comes_back_from_whole_degrees():
+    column = "dTemp"
+    record = warm_up(column, ChannelScale(1.0 / 340.0, 36.53))
     fine = trusted_temperature(of(record), 0)
     off = float(np.sqrt(np.mean((fine.temp_c - record.temp_c) ** 2)))
     first = record.time < record.time[0] + 120.0
@@ -242,25 +168,6 @@ def test_chip_that_reads_54_degrees_is_called_implausible():
     temperature = trusted_temperature(of(record), 0)
     show("GT9X", [seen.text for seen in temperature.findings])
     assert any("51.6 to 54.7 degC throughout" in seen.text for seen in temperature.findings)
-
-
-def test_two_real_soaks_are_one_span_and_each_alone_is_judged():
-    columns = column_map(temp=0, accel=(1, 2, 3), gyro=(4, 5, 6), temp_unit="degC", accel_unit="g", gyro_unit="dps",
-                        sample_rate_hz=50.0, header=False, skip_rows=1, drop_bad_rows=True)  # fmt: skip
-    hot, cold = (
-        read_counted(data_path("thermal_bmi270_two_point", f"BMI_270_{k}_test.csv.gz"), columns).record
-        for k in ("hot", "cold")
-    )
-    results = [trusted_temperature(of(record), 0) for record in (hot, cold)]
-    wanted = float(np.quantile(hot.temp_c, 0.99) - np.quantile(cold.temp_c, 0.01))
-    show(
-        "BMI270 span, K",
-        f"{check_span(results):.2f}",
-        f"{wanted:.2f} within 0.1: quantiles 1 and 99 % of the raw columns",
-    )
-    assert check_span(results) == pytest.approx(wanted, abs=0.1)
-    with pytest.raises(NotObservable, match=r"span 0\.\d+ degC \(13\.0"):
-        check_span(results[1:])
 
 
 TAU = 40.0
@@ -303,7 +210,7 @@ def test_chunks_give_the_bits_of_the_batch():
     time, temp = ramp()
     temp[[7, 8, 500]] = np.nan
     whole, last = without_lag(temp, time, lag_s=TAU, smooth_s=4.0)
-    state, parts = None, []
+    state, parts = NO_READING, []
     for part in np.split(np.arange(len(time)), [1, 8, 9, 500, 501, 1300]):
         done, state = without_lag(temp[part], time[part], lag_s=TAU, smooth_s=4.0, state=state)
         parts.append(done)
@@ -320,19 +227,6 @@ def test_a_gap_holds_and_the_next_reading_bridges_it():
     assert (result[700:702] == result[699]).all()
     kept = np.isfinite(gone)
     np.testing.assert_array_equal(result[kept], without_lag(temp[kept], time[kept], lag_s=TAU, smooth_s=4.0)[0])
-
-
-def test_a_thermometer_without_lag_is_left_alone():
-    time, temp = ramp()
-    np.testing.assert_array_equal(without_lag(temp, time, lag_s=0.0, smooth_s=0.0)[0], temp)
-    np.testing.assert_array_equal(without_lag_smooth(column(temp, time), lag_s=0.0), temp)
-
-
-def test_an_empty_chunk_changes_nothing():
-    state = LagState(time=3.0, temp_c=20.0, smooth_c=20.0, output_c=20.0)
-    done, after = without_lag(np.empty(0), np.empty(0), lag_s=TAU, smooth_s=4.0, state=state)
-    assert len(done) == 0
-    assert after == state
 
 
 def test_for_a_fit_nothing_of_the_lag_is_left():
@@ -358,12 +252,7 @@ def test_the_smoothing_balances_noise_and_the_lag_left():
 
 @pytest.mark.parametrize(
     ("changes", "words"),
-    [
-        ({"lag_s": -1.0}, "got -1 and 4"),
-        ({"smooth_s": float("nan")}, "got 40 and nan"),
-        ({"smooth_s": 0.0}, "got 40 and 0"),
-        ({"state": LagState(time=2.0)}, "must follow 2 s"),
-    ],
+    [({"smooth_s": 0.0}, "got 40 and 0"), ({"state": (2.0, *NO_READING[1:])}, "must follow 2 s")],
 )
 def test_a_wrong_call_is_refused(changes, words):
     call = {"time": np.arange(4.0), "lag_s": TAU, "smooth_s": 4.0, **changes}
@@ -407,7 +296,7 @@ def two_ramps(**kwargs):
     return blocks(np.concatenate((there_and_back(0.5), there_and_back(3.0))), **kwargs)
 
 
-@pytest.mark.parametrize("loop", [0.0, 0.05, -0.05])
+@pytest.mark.parametrize("loop", [0.0, 0.05])
 def test_loop_that_ignores_speed_is_not_taken_for_lag(loop):
     lag = estimate_lag(two_ramps(loop=loop))
     assert abs(lag.lag_s - 30.0) < 4.0 * lag.uncertainty_s
@@ -429,9 +318,7 @@ def test_without_lag_none_is_found():
 @pytest.mark.parametrize(
     "temp",
     [
-        np.repeat(np.arange(20.0, 60.0, 5.0), 40),  # soaks
         10.0 + 18.0 * (1.0 - np.exp(-STEP_S * np.arange(200) / 500.0)),  # a warm-up
-        np.linspace(20.0, 30.0, 10),  # few
         there_and_back(1.0),  # one speed: a lag looks like hysteresis
     ],
 )

@@ -70,24 +70,9 @@ def test_other_scale_than_the_calibration_is_reported(session):
         assert fit.verdict.status == status
 
 
-@pytest.mark.slow
-def test_other_offset_than_the_calibration_is_reported():
-    session = warmed(4, (0.0, 0.0, 0.0))
-    assert not any(
-        item.code.startswith("drift.offset_")
-        for item in fit_drift([session], shifted((1.0, 0.0, 0.0)), settings=TABLES).verdict.findings
-    )
-    for dps, status in ((186.0, "bad"), (6.0, "marginal")):
-        fit = fit_drift([session], shifted((dps, 0.0, 0.0)), settings=TABLES)
-        differs = [item for item in fit.verdict.findings if item.code == "drift.offset_differs"]
-        assert len(differs) == 1
-        assert differs[0].values["offset_dps"][0] == pytest.approx(-dps, abs=0.5)
-        assert fit.verdict.status == status
-
-
 @pytest.mark.parametrize(
     ("scale", "offset_g", "status"),
-    [(1.0, 0.0, ""), (1.01, 0.0, ""), (1.06, 0.0, "warn"), (1.5, 0.0, "fail"), (1.0, 0.08, "warn")],
+    [(1.01, 0.0, ""), (1.5, 0.0, "fail"), (1.0, 0.08, "warn")],
 )
 def test_accelerometers_that_contradict_are_reported(session, scale, offset_g, status):
     accel = CALIBRATION.accel
@@ -114,7 +99,6 @@ def with_table_uncertainty(static, dps):
         (15.0, 1.0, "bad", "drift.offset_differs"),
         (6.0, 3.0, "good", ""),  # two
         (1.0, 0.1, "good", ""),  # ten, and no more than a switch-on makes
-        (1.0, 3.0, "good", ""),
     ],
 )
 def test_offset_differs_from_three_standard_uncertainties(off, known_to, status, code):

@@ -10,13 +10,13 @@ import pytest
 TESTS = Path(__file__).parents[1]
 CALLERS = (
     "correction/test_correct.py",
-    "correction/test_correct_stream.py",
+    "correction/test_correct_conditions.py",
     "test_orientation.py",
 )
 # Every kernel and its corners once; the rest of the callers' tests says nothing more of the source.
 CHOSEN = (
     "kernels or every_step_agrees and -g-truncated or long_records and 257 or gap or hold_keeps or on_each_side "
-    "or of_the_batch_once or seconds_of_a_stream and 29 or ideal_readings or not_depend_on_the_length"
+    "or of_the_batch_once or seconds_of_a_stream or ideal_readings or not_depend_on_the_length"
 )
 
 

@@ -112,9 +112,8 @@ class Corrected:
     outside: BoolArray  # temperatures beyond a tuning table
     extrapolated: BoolArray  # temperatures and rates at nodes of a table without nearby data
     missing: BoolArray  # no temperature for a table, with NaN as the result under every policy
-    findings: tuple[
-        Finding, ...
-    ]  # readings beyond the calibration (level warn), errors that it does not correct (info)
+    # readings beyond the calibration (level warn), errors that it does not correct (info)
+    findings: tuple[Finding, ...]
     reach: Reach  # samples and seconds of each mask, with the span of temperature and rate
     carry: Carry  # state for the next chunk of a stream
     rest: RemainingOffset | None = None  # offset that was subtracted, with its uncertainty
@@ -184,7 +183,9 @@ def correct(
     >>> corrected.gyro_unit, corrected.accel_unit, corrected.frame
     ('rad/s', 'm/s2', 'b')
     """
-    corrected = correct_whole(record, calibration, power_on_s, offset, check=check, policy=policy, out=out)
+    corrected = correct_checked(
+        record, calibration, policy=policy, out=out, power_on_s=power_on_s, offset=offset, check=check
+    )
     for text in corrected.warnings:
         warnings.warn(text, DriftRangeWarning, stacklevel=2)
     return corrected.record
@@ -195,20 +196,20 @@ def correct_checked(
     calibration: Calibration,
     *,
     policy: Policy = "raise",
+    out: Buffers | None = None,
     threads: int | None = None,
     power_on_s: float | None = None,
     offset: Offset = "none",
+    check: bool = True,
 ) -> Corrected:
     """Correct a record, and return findings and masks if the calibration does not cover or fit it.
 
     Parameters
     ----------
-    record, calibration, policy
+    record, calibration, policy, out, power_on_s, offset, check
         As for ``correct``, which also lists the exceptions.
     threads : int, optional
         By default all processors for long records, and one for short records. The result does not depend on it.
-    power_on_s, offset
-        As for ``correct``.
 
     Examples
     --------
@@ -221,27 +222,15 @@ def correct_checked(
     >>> len(corrected.findings), int(corrected.outside.sum())
     (0, 0)
     """
-    return correct_whole(record, calibration, power_on_s, offset, check=True, policy=policy, threads=threads)
-
-
-def correct_whole(
-    record: Record,
-    calibration: Calibration,
-    power_on_s: float | None = None,
-    offset: Offset = "none",
-    *,
-    check: bool = False,
-    **options: Any,
-) -> Corrected:
-    """Correct a record from its start, with or without plausibility checks. ``options`` are passed to ``correct_planned``."""
     carry = carry_at_start(float(record.time[0]), power_on_s)
-    corrected = correct_planned(record, calibration, plan_record(record, calibration), carry=carry, **options)
+    plans = plan_record(record, calibration)
+    corrected = correct_planned(record, calibration, plans, policy=policy, out=out, threads=threads, carry=carry)
     if isinstance(offset, str):
         check_choice(offset, ("none", "rest", "motion"), "correct", "offset")
     if offset != "none":
         if isinstance(offset, str):
             offset = find_offset(corrected.record, offset, calibration.gyro)
-        corrected = _subtract_offset(corrected, offset, options.get("out"))
+        corrected = _subtract_offset(corrected, offset, out)
     if not check:
         return corrected
     stills = None if corrected.rest is None else corrected.rest.stills

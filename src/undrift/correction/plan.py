@@ -28,7 +28,7 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, interpolated
 from undrift.base import workers
-from undrift.drift.temperature import LagState, without_lag
+from undrift.drift.temperature import NO_READING, without_lag
 from undrift.errors import InputError
 from undrift.model import Calibration, DynamicDrift, Sensor, TriadModel
 from undrift.record import ForceUncertainty, Record, TemperatureSensitivity
@@ -350,7 +350,7 @@ class Carry:
     """State passed from a chunk of a stream to the next chunk."""
 
     power_on_time: float | None = None  # on the recording's clock, s, or None if unknown
-    lag: LagState | None = None  # state of the thermometer's lag, or None before the first sample, or without lag
+    lag: tuple[float, ...] = NO_READING  # state of the filter that subtracts the thermometer's lag
     last_time: float | None = None  # time of the last sample, s, or None before the first
     turning: tuple[float, ...] = NOT_TURNING  # state of the search for turns
     reach: Reach = Reach()  # of all chunks so far

@@ -13,7 +13,7 @@ each part that is not observable, and the recording that would determine it.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -44,6 +44,9 @@ from undrift.model import (
 )
 from undrift.record import Session
 from undrift.shown import Shown
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 RANGE_C = (18.0, 75.0)  # the note's
 STEP_C = 0.5
@@ -119,7 +122,7 @@ class DriftFit(Shown):
 
 @determined("drift")
 def fit_drift(
-    sessions: Sequence[Session],
+    sessions: "Sequence[Session] | pd.DataFrame",
     calibration: Calibration | None = None,
     *,
     settings: DriftSettings = DriftSettings(),
@@ -129,8 +132,10 @@ def fit_drift(
 
     Parameters
     ----------
-    sessions : sequence of Session
-        One or more sessions of the device. The scatter of several sessions counts as uncertainty.
+    sessions : sequence of Session, or DataFrame
+        One or more sessions of the device. The scatter of several sessions counts as uncertainty. Or a frame of means over
+        set-points, one per row: temp_c, and readings with undrift's column names (gyro_x_dps). Rows that are not at rest have
+        the imposed rate in turn_rate_x_dps, turn_rate_y_dps and turn_rate_z_dps.
     calibration : Calibration, optional
         Calibration of the same device. Without it, readings in a physical unit keep their nominal scale, and counts are refused.
     settings : DriftSettings
@@ -165,17 +170,31 @@ def fit_drift(
     >>> float(table.temp_c[0]), float(table.temp_c[-1])
     (17.5, 75.0)
     """
-    report = progress or (lambda what, share: None)
+    report, rate_b = progress or (lambda what, share: None), None
+    if not isinstance(sessions, Sequence):
+        session, rate_b = observe.means_session(sessions)
+        sessions = [session]
     sessions = _check_sessions(sessions, calibration, settings)
     device = observe.nominal_models(sessions) if calibration is None else judge.without_tables(calibration)
     sessions = [observe.in_units_of(session, device) for session in sessions]
+
+    def observed(course: observe.Temperatures) -> tuple[RestBlocks, RateSteps]:
+        if rate_b is not None:
+            return observe.observe_means(sessions[0].records[0], rate_b, course[0][0])
+        return observe.observe_rests(sessions, temperatures=course), observe.observe_steps(
+            sessions, temperatures=course
+        )
+
     report("smoothing the temperature", 0.0)
-    trusted = [[thermometer.trusted_temperature(s, k) for k in range(len(s.records))] for s in sessions]
+    means = rate_b is not None
+    trusted = [[thermometer.trusted_temperature(s, k, means=means) for k in range(len(s.records))] for s in sessions]
     temperatures = [temperature for session_temperatures in trusted for temperature in session_temperatures]
     thermometer.check_span(temperatures)
     report("gathering rests and turns", 0.15)
-    course = [[temperature.temp_c for temperature in session_temperatures] for session_temperatures in trusted]
-    rests, lag, lag_s, smooth_s = observe.observe_rests(sessions, temperatures=course), None, settings.lag_s or 0.0, 0.0
+    rests, steps = observed(
+        [[temperature.temp_c for temperature in session_temperatures] for session_temperatures in trusted]
+    )
+    lag, lag_s, smooth_s = None, settings.lag_s or 0.0, 0.0
     if settings.lag_s is None and any(temperature.source == "column" for temperature in temperatures):
         lag = thermometer.estimate_lag(rests)
         lag_s = lag.lag_s if lag.lag_s > SURE_LAG * lag.uncertainty_s else 0.0
@@ -185,8 +204,7 @@ def fit_drift(
             [thermometer.without_lag_smooth(temperature, lag_s=lag_s) for temperature in session_temperatures]
             for session_temperatures in trusted
         ]
-        rests = observe.observe_rests(sessions, temperatures=course)
-    steps = observe.observe_steps(sessions, temperatures=course)
+        rests, steps = observed(course)
     verdict = judge.rests_verdict(sessions, rests, steps)
     report("fitting offsets over temperature", 0.4)
     # single readings, which ``correct`` looks up, reach beyond the smooth course
@@ -331,7 +349,7 @@ def _build_calibration(
     previous, static, reference_c = device.provenance, tables.static, device.reference_temp_c
     if not np.isfinite(reference_c) and static is not None:
         reference_c = float(np.clip(ROOM_C, *seen_span(static.temp_c, static.gyro_extrapolated)))
-    earlier_inputs = previous.inputs[: previous.count(INPUTS_BEFORE, len(previous.inputs))]
+    earlier_inputs = previous.inputs[: int(previous.number(INPUTS_BEFORE, len(previous.inputs)))]
     names = [name for name in ("static", "scale", "dynamic") if getattr(tables, name) is not None]
     provenance = replace(
         previous,

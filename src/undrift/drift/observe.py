@@ -15,7 +15,7 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -25,10 +25,13 @@ from undrift.calibration.table import dwell_means
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, Level, finding
 from undrift.fit.gls import block_size
-from undrift.model import Calibration, TriadModel, Verdict
+from undrift.model import AXES, Calibration, TriadModel, Verdict
 from undrift.record import Record, Session, Still
 from undrift.segments import find_still
-from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, Quantity, is_physical, si_factor
+from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, STANDARD_GRAVITY, Quantity, is_physical, si_factor
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Temperatures = Sequence[Sequence[FloatArray]]  # per session, per recording: (N,), degC, lag subtracted
 
@@ -40,6 +43,11 @@ SOAK_C = 1.5  # a dwell further than this from the first one of its soak begins 
 SAME_POSE = 3.0 * RADIAN_PER_DEGREE
 OUTLIER = 6.0 * 1.4826  # median absolute deviations of a block: six standard deviations of normal noise
 LEAST_SHARE = 0.5  # smallest share of valid samples in a block
+SET_POINT_S = 600.0  # time between means over set-points without a column time_s [assumed]
+NO_REST = (
+    "rests: no stretch at rest with a known temperature was found. Leave the device still while its temperature changes, and "
+    "record the temperature or set temp_c."
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -94,14 +102,11 @@ def observe_rests(sessions: Sequence[Session], *, temperatures: Temperatures) ->
     """Gather the rests of thermal sessions into blocks."""
     parts, poses = list[RestBlocks](), 0
     for number, (session, temps) in enumerate(zip(sessions, temperatures, strict=True)):
-        blocks = set_point_rests(session, temps) if session.means else session_rests(session, temps)
+        blocks = session_rests(session, temps)
         parts += [replace(rests, session=rests.session + number, pose=rests.pose + poses) for rests in blocks]
         poses = 1 + max((int(np.max(rests.pose, initial=-1)) for rests in parts), default=-1)
     if not any(len(rests) for rests in parts):
-        raise NotObservable(
-            "rests: no stretch at rest with a known temperature was found. Leave the device still while its temperature changes, "
-            "and record the temperature or set temp_c."
-        )
+        raise NotObservable(NO_REST)
     return RestBlocks.joined(parts)
 
 
@@ -112,8 +117,7 @@ def observe_steps(sessions: Sequence[Session], *, temperatures: Temperatures) ->
         RateSteps(session=numbers, soak=numbers, temp_c=np.zeros(0), rate_b=rows3, gyro=rows3, gyro_variance=rows3)
     ]
     for number, (session, temps) in enumerate(zip(sessions, temperatures, strict=True)):
-        steps = set_point_steps(session, temps) if session.means else session_steps(session, temps)
-        for rows in steps:
+        for rows in session_steps(session, temps):
             soaks = 1 + max(int(other.soak.max(initial=-1)) for other in parts)
             parts.append(replace(rows, session=rows.session + number, soak=rows.soak + soaks))
     return RateSteps.joined(parts)
@@ -212,9 +216,8 @@ def _block_means(
             squares.append(np.diff(halves, axis=0) ** 2 * width)
             scatter.append(block.var(axis=0))
     read = counts[:, 0] > 0.0
-    if read.any() and len(
-        differences := np.concatenate(squares)
-    ):  # noise of a sample, from the noise of half-second means
+    differences = np.concatenate(squares) if squares else np.zeros((0, 3))
+    if len(differences):  # noise of a sample, from the noise of half-second means
         variance[read] = differences.mean(axis=0) / 2.0 / counts[read]
     if read.any():
         step_error[read] = np.sqrt(code_variance(step, np.mean(scatter, axis=0)))
@@ -299,56 +302,47 @@ def _soaks(temp_c: FloatArray) -> IntArray:
     return numbers
 
 
-# ---- means over set-points: a row at rest is a block of rest, a row with an imposed rate a dwell
+# ---- means over set-points, a row each
 
 
-def set_point_rests(session: Session, temps: Sequence[FloatArray]) -> list[RestBlocks]:
-    """Return the rows at rest of a session of set-points."""
-    parts = list[RestBlocks]()
-    for k, (record, means) in enumerate(zip(session.records, session.means, strict=True)):
-        rows = np.flatnonzero((means.rate_b == 0.0).all(axis=1) & np.isfinite(temps[k]))
-        accel, nothing = _readings(record.accel, rows), np.zeros((len(rows), 3))
-        force = np.nan_to_num(accel)
-        axis = np.abs(force).argmax(axis=1)
-        parts.append(
-            RestBlocks(
-                **_columns(session, k, temps[k], rows),
-                time=record.time[rows] - record.time[0] + session.begins_s[k],
-                power_on_s=record.time[rows] - record.time[0],
-                accel=accel,
-                pose=2 * axis + (force[np.arange(len(rows)), axis] < 0.0),
-                ramp_c_per_min=np.zeros(len(rows)),
-                accel_variance=means.accel_uncertainty[rows] ** 2,
-                gyro_step_error=nothing,
-                accel_step_error=nothing,
-            )
-        )
-    return parts
+def means_session(frame: "pd.DataFrame") -> tuple[Session, FloatArray]:
+    """Return means over set-points as a session with one record, and the imposed rate of each row, (N, 3), rad/s."""
+    names = [f"turn_rate_{axis}_dps" for axis in AXES]
+    readings = frame.drop(columns=names, errors="ignore")
+    rate_hz = None if "time_s" in readings else 1.0 / SET_POINT_S
+    record = Record.from_frame(readings, sample_rate_hz=rate_hz, gaps="keep")
+    rate_b = frame.reindex(columns=names, fill_value=0.0).to_numpy(dtype=np.float64) * RADIAN_PER_DEGREE
+    return Session(kind="thermal", serial=record.device, gravity_m_s2=STANDARD_GRAVITY, records=(record,)), rate_b
 
 
-def set_point_steps(session: Session, temps: Sequence[FloatArray]) -> list[RateSteps]:
-    """Return the rows with an imposed rate of a session of set-points."""
-    parts = list[RateSteps]()
-    for k, (means, temp_c) in enumerate(zip(session.means, temps, strict=True)):
-        rows = np.flatnonzero(np.isfinite(temp_c))
-        turning = (means.rate_b[rows] != 0.0).any(axis=1)
-        columns = _columns(session, k, temp_c, rows[turning])
-        parts.append(RateSteps(**columns, soak=_soaks(temp_c[rows])[turning], rate_b=means.rate_b[rows[turning]]))
-    return parts
-
-
-def _columns(session: Session, k: int, temp_c: FloatArray, rows: IntArray) -> dict[str, Any]:
-    """Return the common columns of set-point rows, at rest and turning."""
-    return {
-        "session": np.zeros(len(rows), np.int64),
-        "temp_c": temp_c[rows],
-        "gyro": _readings(session.records[k].gyro, rows),
-        "gyro_variance": session.means[k].gyro_uncertainty[rows] ** 2,
+def observe_means(record: Record, rate_b: FloatArray, temp_c: FloatArray) -> tuple[RestBlocks, RateSteps]:
+    """Return the rows at rest as blocks of rest, and the rows with an imposed rate (N, 3), rad/s, as dwells."""
+    rows, time = np.isfinite(temp_c), record.time - record.time[0]
+    unknown = np.full((len(record), 3), np.nan)
+    accel = unknown if record.accel is None else record.accel
+    up = np.nan_to_num(accel)
+    axis = np.abs(up).argmax(axis=1)
+    means: dict[str, Any] = {
+        "session": np.zeros(len(record), np.int64),
+        "temp_c": temp_c,
+        "gyro": unknown if record.gyro is None else record.gyro,
+        "gyro_variance": unknown,
     }
-
-
-def _readings(values: FloatArray | None, rows: IntArray) -> FloatArray:
-    return np.full((len(rows), 3), np.nan) if values is None else values[rows]
+    rests = RestBlocks(
+        **means,
+        time=time,
+        power_on_s=time,
+        accel=accel,
+        pose=2 * axis + (up[np.arange(len(record)), axis] < 0.0),
+        ramp_c_per_min=np.zeros(len(record)),
+        accel_variance=unknown,
+    )
+    soak = np.zeros(len(record), np.int64)
+    soak[rows] = _soaks(temp_c[rows])
+    turning = rate_b.any(axis=1)
+    if not (rows & ~turning).any():
+        raise NotObservable(NO_REST)
+    return rests.taken(rows & ~turning), RateSteps(**means, soak=soak, rate_b=rate_b).taken(rows & turning)
 
 
 # ---- sessions made ready
@@ -356,23 +350,11 @@ def _readings(values: FloatArray | None, rows: IntArray) -> FloatArray:
 
 def in_units_of(session: Session, calibration: Calibration) -> Session:
     """Return a session in the units that a calibration reads, with the half steps of truncated codes put back."""
-    records = tuple(_prepare_session(record, k, calibration) for k, record in enumerate(session.records))
-    means = [
-        replace(
-            means,
-            gyro_uncertainty=means.gyro_uncertainty * _unit_ratio(old.gyro_unit, new.gyro_unit, "rate"),
-            accel_uncertainty=means.accel_uncertainty * _unit_ratio(old.accel_unit, new.accel_unit, "accel"),
-        )
-        for means, old, new in zip(session.means, session.records, records, strict=bool(session.means))
-    ]
-    return replace(session, records=records, means=tuple(means))
+    records = tuple(_prepare_record(record, k, calibration) for k, record in enumerate(session.records))
+    return replace(session, records=records)
 
 
-def _unit_ratio(old: str, new: str, quantity: Quantity) -> float:
-    return 1.0 if old == new else si_factor(old, quantity) / si_factor(new, quantity)
-
-
-def _prepare_session(record: Record, number: int, calibration: Calibration) -> Record:
+def _prepare_record(record: Record, number: int, calibration: Calibration) -> Record:
     if record.state == "corrected":
         raise InputError(
             f"recording {number} is corrected already. Give the raw readings: tables are subtracted from those."

@@ -277,8 +277,7 @@ def _fit_triad(
                 "drift.hysteresis_unknown",
                 "warn",
                 f"Warming and cooling did not pass the same {OVERLAP_C:g} degC: the uncertainty lacks hysteresis, warm-up and "
-                "lag of "
-                "the thermometer.",
+                "lag of the thermometer.",
                 "Record a warming and a cooling ramp over the same temperatures.",
             )
         )

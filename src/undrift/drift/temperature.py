@@ -78,8 +78,8 @@ class Temperature:
     findings: tuple[Finding, ...] = ()  # doubts about the column
 
 
-def trusted_temperature(session: Session, index: int) -> Temperature:
-    """Return the smoothed temperature of a recording, with findings about doubtful readings."""
+def trusted_temperature(session: Session, index: int, *, means: bool = False) -> Temperature:
+    """Return the smoothed temperature of a recording, with findings about doubtful readings, or that of ``means`` as given."""
     record, temp_c = session.records[index], session.records[index].temp_c
     pieces: list[Still | Turn] = [*session.stills, *session.turns]
     set_points = [
@@ -92,7 +92,7 @@ def trusted_temperature(session: Session, index: int) -> Temperature:
             f"temperature of recording {index}: there is neither a column (columns.temp) nor a set-point (temp_c of stills and "
             "turns). Map the thermometer's column or set temp_c."
         )
-    source: Source = "means" if session.means else "set-points" if temp_c is None else "column"
+    source: Source = "means" if means else "set-points" if temp_c is None else "column"
     if temp_c is None:
         temp_c = np.full(len(record), np.nan)
         for rows, set_point in set_points:
@@ -153,10 +153,8 @@ def _column_temperature(
     difference, set_point = max(differences, key=lambda pair: abs(pair[0]), default=(0.0, 0.0))
     if abs(difference) > OFF_SET_POINT_C:
         size = told_apart(difference, "+.1f", OFF_SET_POINT_C)
-        sentence = (
-            f"The temperature of recording {index} is {size} degC from the set-point of {set_point:.1f} degC (limit "
-        )
-        sentence += f"{OFF_SET_POINT_C:g} degC)."
+        sentence = f"The temperature of recording {index} is {size} degC from the set-point of {set_point:.1f} degC "
+        sentence += f"(limit {OFF_SET_POINT_C:g} degC)."
         findings.append(finding("drift.temperature_implausible", "warn", sentence, "Check units.temp and scale.temp."))
     return Temperature(
         time=time,
@@ -234,19 +232,14 @@ def moving_mean(values: FloatArray, time: FloatArray, window_s: float) -> FloatA
 # ---- subtract a lag
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LagState:
-    """State of the lead between chunks."""
-
-    time: float = math.nan  # time of the last reading, s, or NaN before the first
-    temp_c: float = math.nan  # last reading, degC
-    smooth_c: float = math.nan  # reading behind the low-pass tau_f, degC
-    output_c: float = math.nan  # last temperature returned, degC, and repeated while readings are NaN
+# state of the filter between chunks: time of the last reading, s, the reading, the reading behind the low-pass tau_f, and the last
+# temperature returned, degC, which is repeated while readings are NaN (all NaN before the first reading)
+NO_READING = (math.nan,) * 4
 
 
 def without_lag(
-    temp_c: FloatArray, time: FloatArray, *, lag_s: float, smooth_s: float, state: LagState | None = None
-) -> tuple[FloatArray, LagState]:
+    temp_c: FloatArray, time: FloatArray, *, lag_s: float, smooth_s: float, state: tuple[float, ...] = NO_READING
+) -> tuple[FloatArray, tuple[float, ...]]:
     """Subtract the thermometer's lag with a causal filter, for temperatures (N,), degC, at times (N,), s."""
     from undrift.kernels.calibrate import lead
 
@@ -256,14 +249,11 @@ def without_lag(
             "default_smooth_s gives one."
         )
     x, t = (np.ascontiguousarray(v, dtype=np.float64) for v in (temp_c, time))
-    previous = state or LagState()
-    if len(t) and t[0] <= previous.time:
-        raise InputError(f"lag: readings must follow {previous.time:.6g} s, got {t[0]:.6g} s. Push chunks in order.")
-    carried = np.array([previous.time, previous.temp_c, previous.smooth_c, previous.output_c])
-    y = np.empty_like(x)
-    lead(x, t, y, lag_s, smooth_s or AT_ONCE, carried)
-    last_s, last_c, low, output = (float(v) for v in carried)
-    return y, LagState(time=last_s, temp_c=last_c, smooth_c=low, output_c=output)
+    if len(t) and t[0] <= state[0]:
+        raise InputError(f"lag: readings must follow {state[0]:.6g} s, got {t[0]:.6g} s. Push chunks in order.")
+    y, next_state = np.empty_like(x), np.array(state)
+    lead(x, t, y, lag_s, smooth_s or AT_ONCE, next_state)
+    return y, tuple(next_state.tolist())
 
 
 def without_lag_smooth(temperature: Temperature, *, lag_s: float) -> FloatArray:

@@ -129,8 +129,7 @@ def offsets_verdict(static: StaticFit, device: Calibration, gravity_rate: FloatA
             "drift.offset_differs",
             "fail" if is_large else "warn",
             f"The offset at {nodes[node]:.1f} degC differs from the calibration by {sizes} deg/s on x, y, z (+- {sigmas}), "
-            "beyond the "
-            f"{TURN_ON_DPS:g} deg/s of a switch-on{cause}.",
+            f"beyond the {TURN_ON_DPS:g} deg/s of a switch-on{cause}.",
             "Check which device was recorded, or calibrate again.",
             offset_dps=deviation,
         )
@@ -218,8 +217,7 @@ def static_verdict(static: StaticFit, device: Calibration, temperatures: Sequenc
     (low_c, high_c), share = triad.span_c, float(triad.extrapolated.mean())
     if share > MOST_EXTRAPOLATED or high_c - low_c < NARROW_C:
         sentence = f"The temperatures cover {low_c:.1f} to {high_c:.1f} degC only, and {100.0 * share:.0f} % of the nodes have "
-        sentence += "no data "
-        sentence += "near them."
+        sentence += "no data near them."
         action = "Record over the temperatures of use, 20 K or more."
         findings.append(finding("drift.narrow_span", "warn", sentence, action))
     return Verdict.of(*findings).also(bends_verdict(triad, device.gyro))

@@ -395,8 +395,6 @@ def write_session(session: Session, folder: str | Path) -> None:
     InputError
         The folder cannot be written.
     """
-    if session.means:
-        raise InputError("session: expected recordings, got means of set-points. Write them as a data frame.")
     folder = Path(folder)
     head = HeadEntry(
         kind=session.kind,

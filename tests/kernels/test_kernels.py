@@ -1,15 +1,18 @@
-"""The strapdown kernel: exact for a constant rate, true to its rule, and of unit length for ever."""
+"""Strapdown, its sensitivity, carried means and the lead filter: against exact solutions and plain numpy twins."""
 
 import os
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
 
 from testkit import twins
 from testkit.data import show
 from undrift.errors import InputError
 from undrift.frames import integrate_strapdown, quaternion_conjugate, quaternion_product
-from undrift.kernels.rotation import carried_means
+from undrift.kernels.calibrate import lead
+from undrift.kernels.rotation import accumulate, carried_means
 
 COMPILED = os.environ.get("NUMBA_DISABLE_JIT", "0") in ("", "0")
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
@@ -133,3 +136,66 @@ def test_carried_means_agree_with_the_plain_twin(width, regressors):
     ):
         came = means(*changed)[:, :3] - out[:, :3]
         np.testing.assert_allclose(came, shown, rtol=0, atol=limit * np.abs(came).max())
+
+
+# ---- the running sum of rotation and sensitivity, and the lead over uneven steps, against plain numpy twins
+
+
+def accumulated_twin(rate, regressors, time, at):
+    turned, total = Rotation.identity(), np.zeros((3, 3, regressors.shape[1]))
+    q, sums = np.zeros((len(at), 4)), np.zeros((len(at), *total.shape))
+    q[at <= time[0], 0] = 1.0
+    for k in range(1, len(time)):
+        dt = time[k] - time[k - 1]
+        middle = (turned * Rotation.from_rotvec(0.5 * rate[k] * dt)).as_matrix()
+        part = middle[:, :, None] * regressors[k] * dt
+        for p in np.flatnonzero((at > time[k - 1]) & (at <= time[k])):
+            x = (at[p] - time[k - 1]) / dt
+            q[p] = (turned * Rotation.from_rotvec(rate[k] * x * dt)).as_quat(scalar_first=True)
+            sums[p] = total + x * part
+        turned = turned * Rotation.from_rotvec(rate[k] * dt)
+        total = total + part
+    return q, sums
+
+
+def test_rotation_and_sensitivity_equal_the_numpy_accumulated_twin():
+    rng = np.random.default_rng(0)
+    n = 300
+    time = np.cumsum(rng.uniform(0.008, 0.012, n))
+    rate = rng.normal(0.0, 8.0, (n, 3))
+    rate[100] *= 40.0  # over the bound of the series: the exact branch
+    regressors = rng.normal(size=(n, 7))
+    at = np.sort(np.concatenate((time[[0, 5, 299]], rng.uniform(time[0], time[-1], 40))))
+    q, sums = np.zeros((len(at), 4)), np.zeros((len(at), 3, 3, 7))
+    accumulate(rate.reshape(-1), regressors.reshape(-1), time, at, q.reshape(-1), sums.reshape(-1))
+    q_twin, sums_twin = accumulated_twin(rate, regressors, time, at)
+    q_twin *= np.sign((q * q_twin).sum(axis=1))[:, None]
+    assert np.abs(q - q_twin).max() < 1e-11  # series to 1e-12 per step, 300 steps
+    assert np.abs(sums - sums_twin).max() < 1e-11 * np.abs(sums_twin).max()
+
+
+def lead_twin(temp, time, lag, smooth):
+    """Integrate z' = (x - z) / smooth with x straight between samples."""
+    z = [temp[0]]
+    for k in range(1, len(temp)):
+        slope = (temp[k] - temp[k - 1]) / (time[k] - time[k - 1])
+
+        def rate(t, z, k=k, slope=slope):
+            return (temp[k - 1] + slope * (t - time[k - 1]) - z) / smooth
+
+        z.append(solve_ivp(rate, (time[k - 1], time[k]), [z[-1]], rtol=1e-11, atol=1e-12, method="DOP853").y[0, -1])
+    z = np.array(z)
+    return z + lag / smooth * (temp - z)
+
+
+def test_the_lead_equals_the_numpy_twin_over_uneven_steps():
+    rng = np.random.default_rng(0)
+    time = np.cumsum(rng.choice((0.01, 0.3, 2.8, 40.0), 60))  # from far below to far above the time constant
+    temp = 20.0 + np.cumsum(rng.normal(0.0, 0.3, 60))
+    out, state = np.empty(60), np.full(4, np.nan)
+    lead(temp, time, out, 30.0, 4.0, state)
+    wanted = lead_twin(temp, time, 30.0, 4.0)
+    assert np.abs(out - wanted).max() < 1e-8  # the integrator's tolerance times lag / smooth
+    assert state[0] == time[-1]
+    assert state[1] == temp[-1]
+    assert state[3] == out[-1]

@@ -1,0 +1,323 @@
+"""Matrix and dynamic drift from rate steps: exact without noise, coverage, what was not turned, refusals."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from testkit.data import show
+from testkit.rate_steps import GRID, SOAKS, computed
+from undrift.drift.rates import SurfacePoints, fit_dynamic, fit_scale, fit_surface, measured_rate, prepared
+from undrift.errors import NotObservable
+from undrift.model import StaticDrift
+from undrift.sim.device.effects import RateDrift
+from undrift.sim.device.presets import random_device
+from undrift.sim.device.truth import true_calibration, true_tables
+
+FEW, TEMPS = GRID[1::2], SOAKS[::2]
+NODES = np.arange(18.0, 75.01, 0.5)
+CUBIC = np.zeros((3, 2, 3))
+CUBIC[2, 1] = np.array([1.0, -1.0, 0.7]) * 1e-4
+STRAIGHT = {"rate_drift": None}
+BENT = {"thermal_scale": None, "rate_drift": RateDrift(coefficients=CUBIC)}
+
+
+def device(seed=0, **changes):
+    model = random_device(np.random.default_rng(seed), grade="enc03j_3031")
+    return replace(model, gyro=replace(model.gyro, nonlinearity=None, **changes))
+
+
+def steps_of(model, temps=TEMPS, noise_dps=1e-6, **kept):
+    return computed(model, temps, np.random.default_rng(1), rates=FEW, noise_dps=noise_dps, **kept)
+
+
+def clean_steps(model, steps):
+    """Return steps without the device's true offsets."""
+    static = true_tables(model, NODES, np.radians([-90.0, 90.0])).static
+    return prepared(steps, true_calibration(model).gyro, static=static)
+
+
+def scale_of(model, steps):
+    """Return the fitted matrix, and the true one."""
+    fit = fit_scale(clean_steps(model, steps), true_calibration(model).gyro, temp_c=NODES)
+    return fit, true_tables(model, NODES, np.radians([-90.0, 90.0])).scale.gyro_matrix
+
+
+def dynamic_of(model, steps, span_c=(15.0, 75.0), scale=None):
+    return fit_dynamic(clean_steps(model, steps), true_calibration(model).gyro, span_c=span_c, scale=scale)
+
+
+# ---- rate steps made ready
+
+
+def test_each_axis_of_each_soak_is_a_mounting():
+    model = device()
+    given = computed(model, np.array([20.0, 40.0]), np.random.default_rng(1), rates=GRID[:3])
+    rate = given.rate_b.copy()
+    rate[:4] = 0.0  # at rest
+    assert len(prepared(replace(given, rate_b=rate), true_calibration(model).gyro, static=None)) == len(given) - 4
+    steps = prepared(given, true_calibration(model).gyro, static=None)
+    assert len(np.unique(steps.mounting)) == 6
+    for m in range(6):
+        own = steps.mounting == m
+        assert len(np.unique(steps.soak[own])) == 1
+        rates = steps.rate_b[own][:, steps.axis[own][0]]
+        assert np.array_equal(np.sort(np.degrees(rates).round(6)), [-15.0, -10.0, -5.0, 5.0, 10.0, 15.0])
+
+
+def test_offset_is_linear_between_nodes_and_constant_beyond():
+    calibration = true_calibration(device())
+    table = StaticDrift(temp_c=[20.0, 30.0], gyro_offset=[[0.0, 1.0, 2.0], [10.0, 1.0, 0.0]])
+    three = replace(steps_of(device()).taken(slice(0, 3)), temp_c=np.array([10.0, 25.0, 40.0]))
+    at = three.gyro - prepared(three, calibration.gyro, static=table).reading
+    np.testing.assert_allclose(at, [[0.0, 1.0, 2.0], [5.0, 1.0, 1.0], [10.0, 1.0, 0.0]], atol=1e-9)
+    at = three.gyro - prepared(three, calibration.gyro, static=None).reading
+    np.testing.assert_allclose(at, np.tile(calibration.gyro.offset, (3, 1)))
+
+
+def test_a_single_rate_in_a_soak_is_left_out_and_counted():
+    model = device(**STRAIGHT)
+    steps = computed(model, TEMPS, np.random.default_rng(1), rates=np.radians([50.0]), noise_dps=0.004)
+    forward = steps.rate_b.sum(axis=1) > 0.0
+    with pytest.raises(NotObservable, match="two rates"):
+        clean_steps(model, steps.taken(forward))
+    clean = clean_steps(model, steps.taken(forward | (steps.soak > 0)))
+    assert np.unique(clean.soak).tolist() == [1, 2, 3, 4, 5, 6]
+    assert f"3 of {len(steps) - 3} rate steps" in clean.findings[0].text
+
+
+def test_turns_about_one_oblique_axis_are_left_out():
+    steps = steps_of(device(), axes=(0,))
+    oblique = replace(steps, rate_b=steps.rate_b[:, [0]] * np.array([0.8, 0.6, 0.0]))
+    with pytest.raises(NotObservable, match="two rates"):
+        clean_steps(device(), oblique)
+
+
+# ---- matrix
+
+
+def test_matrix_without_noise_comes_back_at_every_node():
+    model = device(**STRAIGHT)
+    fit, truth = scale_of(model, steps_of(model, SOAKS[::-1]))  # in any order of the soaks
+    # A smoothing spline leans toward straight lines by far less than the bend of 1 / (1 + k D): 1e-6 of the scale.
+    assert np.abs((fit.drift.gyro_matrix - truth) / truth[:, [0], [0]][:, None]).max() < 1e-5
+    assert not fit.drift.gyro_extrapolated.any()
+    assert fit.verdict.status == "good"
+
+
+def test_unknown_offset_and_gaps_leave_the_matrix_alone():
+    model = device(**STRAIGHT)
+    steps = steps_of(model)
+    plain, truth = scale_of(model, steps)
+    shifted, _ = scale_of(model, replace(steps, gyro=steps.gyro + 7.0))
+    assert np.allclose(plain.drift.gyro_matrix, shifted.drift.gyro_matrix, rtol=1e-9, atol=1e-12)
+    gyro = steps.gyro.copy()
+    gyro[[3, 80], 1] = np.nan
+    gaps, _ = scale_of(model, replace(steps, gyro=gyro))
+    assert any(f"2 of {len(steps)}" in reason for reason in gaps.verdict.reasons)
+    assert np.abs(gaps.drift.gyro_matrix - truth).max() < 1e-5 * np.abs(truth).max()
+
+
+def test_axis_without_a_turn_keeps_its_column():
+    model = device(**STRAIGHT)
+    fit, truth = scale_of(model, steps_of(model, axes=(0, 2)))
+    assert np.isnan(fit.drift.gyro_uncertainty[:, :, 1]).all()
+    assert np.isfinite(fit.drift.gyro_uncertainty[:, :, [0, 2]]).all()
+    # The other columns come back up to the product of two cross-axis terms, 1e-4, and the missing sensitivity, 10 %.
+    assert np.abs(fit.drift.gyro_matrix - truth)[:, [0, 2], [0, 2]].max() < 1e-4 * truth[:, 0, 0].max()
+    assert any("Scale factor y" in item.text for item in fit.verdict.findings if item.code == "drift.not_observable")
+    assert fit.verdict.status == "marginal"
+
+
+def test_nodes_beyond_the_soaks_are_marked_and_less_certain():
+    model = device(**STRAIGHT)
+    fit, _ = scale_of(model, steps_of(model, np.array([30.0, 40.0, 50.0]), noise_dps=0.01))
+    marks = fit.drift.gyro_extrapolated
+    assert marks[NODES < 29.0].all()
+    assert marks[NODES > 51.0].all()
+    assert not marks[(NODES > 30.0) & (NODES < 50.0)].any()
+    own = fit.drift.gyro_uncertainty[:, 0, 0]
+    assert own[-1] > 2.0 * own[NODES == 40.0][0]
+
+
+def test_unknown_variances_come_from_the_scatter_about_the_lines():
+    model = device(**STRAIGHT)
+    steps = steps_of(model, SOAKS, noise_dps=0.01)
+    fit, _ = scale_of(model, replace(steps, gyro_variance=np.full_like(steps.gyro_variance, np.nan)))
+    relative = fit.drift.gyro_uncertainty[:, 0, 0] / fit.drift.gyro_matrix[:, 0, 0]
+    # 0.01 deg/s over 18 rates of 54 deg/s rms
+    assert 0.2 < np.median(relative) / (0.01 / 54.0 / np.sqrt(18.0)) < 2.0
+
+
+# ---- dynamic drift
+
+
+def test_the_table_is_that_of_the_device_over_measured_rate():
+    model = device(**BENT)
+    fit = dynamic_of(model, steps_of(model, noise_dps=1e-5))
+    truth = true_tables(model, fit.drift.temp_c, fit.drift.turn_rate).dynamic
+    near = ~fit.drift.extrapolated
+    # e reaches 1.1 deg/s; knots every 30 deg/s hold a cubic, and what smoothing is left costs 1 % of it.
+    assert np.degrees(np.abs(fit.drift.error - truth.error)[near]).max() < 0.01
+    assert np.degrees(np.abs(truth.error[near])).max() > 0.4
+    # nodes are the imposed rates and zero
+    nearest = np.abs(np.concatenate((-FEW, FEW))[:, None] - fit.drift.turn_rate).min(axis=1)
+    assert nearest.max() < 1e-9
+    assert np.array_equal(fit.drift.temp_c, np.arange(15.0, 76.0, 5.0))
+    assert np.abs(fit.drift.error[:, fit.drift.turn_rate == 0.0]).max() < 1e-12
+
+
+def test_rates_measured_beyond_the_imposed_ones_get_a_node():
+    model = random_device(np.random.default_rng(0), grade="enc03j_3031")
+    fit = dynamic_of(model, steps_of(model, noise_dps=1e-5))
+    assert fit.drift.turn_rate[-1] > 1.01 * FEW[-1]
+    # Only the hottest soaks reach it, and not with every axis: a node counts as seen where all turned axes saw it.
+    assert fit.drift.extrapolated[0, -1]
+    inside = np.abs(fit.drift.turn_rate) < 0.9 * FEW[-1]
+    soaked = (fit.drift.temp_c > 17.5) & (fit.drift.temp_c < 75.5)
+    assert not fit.drift.extrapolated[np.ix_(soaked, inside)].any()
+
+
+def test_cross_axis_rate_is_left_to_the_matrix():
+    model = device(thermal_scale=None, rate_drift=None)
+    steps = steps_of(model, noise_dps=1e-3)
+    leaning = steps.rate_b[:, [1]] * 0.02 * (steps.temp_c[:, None] - 25.0) / 50.0
+    crossed = steps.gyro + leaning @ (true_calibration(model).gyro.forward_matrix @ np.eye(3)[:, :1]).T
+    fit = dynamic_of(model, replace(steps, gyro=crossed))
+    # Turns about y feign up to 1.8 deg/s about x here; the table of x holds what the noise of 1 mdeg/s leaves.
+    assert np.degrees(np.abs(fit.drift.error[..., 0])[~fit.drift.extrapolated]).max() < 0.005
+
+
+def test_axis_without_a_turn_has_no_dynamic_uncertainty():
+    model = device(**BENT)
+    fit = dynamic_of(model, steps_of(model, axes=(0, 2)))
+    assert (fit.drift.error[..., 1] == 0.0).all()
+    assert np.isnan(fit.drift.uncertainty[..., 1]).all()
+    assert any("y" in reason and "dynamic drift" in reason.lower() for reason in fit.verdict.reasons)
+
+
+def test_noise_of_another_sensor_enters_by_the_matrix():
+    # Sensor x leans 30 deg to z, so that the rate about x takes tan 30 deg of z's reading and that about z takes none of x's.
+    lean = np.radians(30.0)
+    axes = np.array([[np.cos(lean), 0.0, np.sin(lean)], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    model = device(**BENT)
+    model = replace(model, gyro=replace(model.gyro, scale=replace(model.gyro.scale, axes=axes)))
+    steps = steps_of(model)
+    sigma = np.array([1e-6, 1e-6, 1e-2]) * true_calibration(model).gyro.scale_factor  # 1e-2 rad/s
+    fit = dynamic_of(model, replace(steps, gyro_variance=np.tile(sigma**2, (len(steps), 1))))
+    x, _, z = np.moveaxis(fit.drift.uncertainty[~fit.drift.extrapolated], -1, 0)
+    show("uncertainty of x over that of z", f"{np.median(x / z):.2f}", "tan 30 deg = 0.58")
+    # The same rates and soaks about both axes; each surface finds its own softness, which is worth less than a factor of 1.5.
+    assert np.tan(lean) / 1.5 < np.median(x / z) < np.tan(lean) * 1.5
+
+
+def test_too_few_soaks_are_refused():
+    model = device(**BENT)
+    with pytest.raises(NotObservable, match="three soaks"):
+        dynamic_of(model, steps_of(model, np.array([25.0, 45.0])))
+    with pytest.raises(NotObservable, match="got 1"):
+        scale_of(model, steps_of(model, np.array([25.0])))
+
+
+def test_the_dynamic_table_spans_what_the_matrix_table_spans():
+    model = device()
+    steps = steps_of(model, TEMPS[1:-1], noise_dps=0.008)
+    scale = scale_of(model, steps)[0].drift
+    dynamic = dynamic_of(model, steps, (18.0, 75.0), scale).drift
+    assert np.array_equal(dynamic.temp_c, [18.0, *np.arange(20.0, 71.0, 5.0), 75.0])
+    assert dynamic.extrapolated[[0, -1]].all()
+    assert scale.gyro_extrapolated[[0, -1]].all()
+
+
+@pytest.mark.parametrize(
+    "changes", [{"thermal_scale": None, "rate_drift": None}, {"rate_drift": RateDrift(coefficients=CUBIC)}]
+)
+@pytest.mark.parametrize("devices", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_both_tables_predict_a_soak_that_was_left_out(changes, devices):
+    for seed in range(devices):
+        model = device(seed, **changes)
+        truth = true_calibration(model).gyro
+        steps = computed(model, TEMPS, np.random.default_rng(seed + 100), rates=FEW, noise_dps=0.008)
+        clean, residuals = clean_steps(model, steps), []
+        for soak in range(1, len(TEMPS) - 1):
+            out, rest = (clean.taken(rows) for rows in (clean.soak == soak, clean.soak != soak))
+            scale = fit_scale(rest, truth, temp_c=NODES)
+            dynamic = fit_dynamic(rest, truth, span_c=(18.0, 75.0), scale=scale.drift)
+            rate = measured_rate(out.reading, out.temp_c, truth, scale.drift)
+            error = rate - out.rate_b
+            for axis, surface in enumerate(dynamic.surfaces):
+                error[:, axis] -= surface.at(rate[:, axis], out.temp_c)
+            for mounting in np.unique(out.mounting):
+                error[out.mounting == mounting] -= error[out.mounting == mounting].mean(axis=0)
+            residuals.append(error)
+        rms = float(np.degrees(np.sqrt(np.mean(np.square(residuals)))))
+        show("left out, deg/s rms", f"{rms:.4f}", 1.25 * 0.008)
+        # The noise of the means is 0.008 deg/s, and no table predicts better; six soaks of 18 rates give
+        # the surface of the seventh to half of that: hypot(1, 0.5) = 1.12, and 1.25 with room for the draw.
+        assert rms < 1.25 * 0.008
+
+
+# ---- the smooth surface over rate and temperature
+
+LEVELS = np.arange(20.0, 71.0, 10.0)
+RATES = np.concatenate((-np.linspace(0.2, 1.6, 8)[::-1], np.linspace(0.2, 1.6, 8)))
+
+
+def shape(w, t):
+    return 0.01 * w**3 * (t - 40.0) / 30.0 + 0.004 * w * (t - 40.0) / 30.0 + 0.002 * w**2
+
+
+def points(noise=1e-4, offset=0.0, seed=0):
+    w, t = np.tile(RATES, len(LEVELS)), np.repeat(LEVELS, len(RATES))
+    soak = np.repeat(np.arange(len(LEVELS)), len(RATES))
+    value = shape(w, t) + offset * (1.0 + soak) + np.random.default_rng(seed).normal(0.0, noise, len(w))
+    variance = np.full(len(w), max(noise, 1e-9) ** 2)
+    return SurfacePoints(turn_rate=w, temp_c=t, value=value, variance=variance, soak=soak, mounting=soak)
+
+
+def surface_of(given):
+    return fit_surface(given, rate_span=(-1.6, 1.6), temp_span=(20.0, 70.0))
+
+
+@pytest.mark.parametrize(("variance", "size"), [(1e-18, 1.0), (0.0, 0.0)])
+def test_a_smooth_surface_comes_back_without_noise(variance, size):
+    given = points(noise=0.0)
+    given = replace(given, value=size * given.value, variance=np.full(len(given), variance))
+    w, t = np.meshgrid(np.linspace(-1.6, 1.6, 33), np.linspace(20.0, 70.0, 21))
+    # Even knots every 0.4 rad/s hold a cubic exactly; the smoothing that is left costs 1e-3 of the surface.
+    assert np.abs(surface_of(given).at(w.ravel(), t.ravel()) - size * shape(w, t).ravel()).max() <= 1e-3 * 0.04 * size
+
+
+def test_mounting_offset_is_told_apart_from_the_rate():
+    plain, shifted = surface_of(points()), surface_of(points(offset=0.01))
+    w, t = np.tile(RATES, 6), np.repeat(LEVELS, 16)
+    assert np.abs(plain.at(w, t) - shifted.at(w, t)).max() < 1e-6
+    assert np.abs(shifted.at(np.zeros(5), np.linspace(20.0, 70.0, 5))).max() < 1e-12
+    assert np.abs(shifted.uncertainty(np.zeros(5), np.linspace(20.0, 70.0, 5))).max() < 1e-9
+
+
+def test_bend_over_temperature_is_found_only_if_present():
+    given = points(noise=1e-4)
+    wave = replace(given, value=given.value + 0.01 * given.turn_rate * np.sin(given.temp_c / 8.0))
+    bent = surface_of(wave)
+    assert surface_of(points(noise=1e-3)).softness[1] < bent.softness[1]
+    rest = wave.value - bent.at(wave.turn_rate, wave.temp_c)
+    rest -= (np.bincount(wave.mounting, rest) / np.bincount(wave.mounting))[wave.mounting]
+    assert np.abs(rest).max() < 1e-3  # of a wave of 16e-3
+
+
+def test_intervals_hold_the_surface_in_about_95_of_100_cases():
+    inside = []
+    for seed in range(8):
+        surface = surface_of(points(noise=1e-3, seed=seed))
+        w, t = np.tile(RATES[::3], 6), np.repeat(LEVELS, 6)
+        inside.append(np.abs(surface.at(w, t) - shape(w, t)) < 1.96 * surface.uncertainty(w, t))
+    # Eight surfaces of some ten free parameters: standard error about 2.5 %.
+    assert np.mean(inside) > 0.88
+
+
+def test_scatter_beyond_the_stated_noise_counts():
+    given = points(noise=1e-3)
+    told, known = surface_of(replace(given, variance=np.full(len(given), 1e-8))), surface_of(given)
+    at = np.array([1.0]), np.array([45.0])
+    assert told.uncertainty(*at) == pytest.approx(known.uncertainty(*at), rel=0.3)
