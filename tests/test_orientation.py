@@ -10,9 +10,9 @@ import pytest
 from testkit.data import show
 from testkit.findings import only
 from testkit.hand_turns import Device, make_recording
+from testkit.plain_triad import plain_triad
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
-from undrift.model import TriadModel
 from undrift.orientation import OrientSettings, heading_of, inclination_of, orient, sagittal_pitch
 from undrift.record import Record, Still
 
@@ -61,12 +61,10 @@ def test_the_rest_offset_is_taken_off_when_asked():
 def test_a_rest_is_found_when_none_is_given():
     record, truth = moved(noise=1e-4)
     orientation = orient(record)
-    assert (
-        0 <= orientation.still.start < orientation.still.stop <= 202
-    )  # the search may lose half a window, and gain none of the motion
-    assert (
-        off(orientation.q_nb, truth).max() < 1e-3
-    )  # 600 steps of 1e-4 rad/s noise walk to 2e-5 rad; the tilt errs by 1e-5
+    # the search may lose half a window, and gain none of the motion
+    assert 0 <= orientation.still.start < orientation.still.stop <= 202
+    # 600 steps of 1e-4 rad/s noise walk to 2e-5 rad; the tilt errs by 1e-5
+    assert off(orientation.q_nb, truth).max() < 1e-3
 
 
 def test_what_cannot_be_oriented_is_refused():
@@ -121,28 +119,15 @@ def test_expected_drift_is_the_rate_at_rest_times_the_time():
     orientation = orient(record, None, OrientSettings(offset="rest"))
     (item,) = orientation.findings
     assert item.level == "info"
-    moving = 1.0 - (orientation.still.stop - orientation.still.start) / len(
-        record
-    )  # 0.02 deg/s an axis from rest to motion
+    # 0.02 deg/s an axis from rest to motion
+    moving = 1.0 - (orientation.still.stop - orientation.still.start) / len(record)
     assert item.values["offset_dps"] == pytest.approx(0.02 * np.sqrt(3.0) * moving, rel=0.01)
 
 
 def test_uncertainty_of_the_calibrated_offset_counts():
     record, _ = moved(noise=1e-5)
     sd = 0.3  # dps per unit of the raw reading, which is doubled by the matrix
-    model = TriadModel(
-        method="rate-table",
-        unit_in="dps",
-        unit_out="dps",
-        matrix=2.0 * np.eye(3),
-        offset=np.zeros(3),
-        covariance=np.diag([0.0] * 9 + [sd**2] * 3),
-        rms_residual=0.0,
-        count=12,
-        rank=12,
-        condition=1.0,
-        valid_range=(-100.0, 100.0),
-    )
+    model = replace(plain_triad("dps", "dps", offset_sigma=sd), method="rate-table", matrix=2.0 * np.eye(3))
     orientation = orient(record, gyro_model=model)
     assert np.degrees(orientation.offset_uncertainty) == pytest.approx(2.0 * sd * np.sqrt(3.0), rel=0.01)
     rest = orient(record, None, OrientSettings(offset="rest"), gyro_model=model)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from testkit.data import show
+from testkit.plain_triad import plain_triad
 from undrift.calibration.calibrate import calibrate
 from undrift.correction.correct import correct_checked
 from undrift.correction.plan import force_uncertainty
@@ -14,14 +15,11 @@ from undrift.correction.rest import AGEING, TURN_ON, UNKNOWN_K
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, rotate
 from undrift.model import (
-    MATRIX_NAMES,
-    OFFSET_NAMES,
     AdcModel,
     Calibration,
     DriftTables,
     Provenance,
     StaticDrift,
-    TriadModel,
 )
 from undrift.orientation import (
     heading_of,
@@ -125,20 +123,8 @@ def resting(force, n=200, **changes):
 
 
 def model(covariance):
-    return TriadModel(
-        method="test",
-        unit_in="m/s2",
-        unit_out="m/s2",
-        matrix=np.eye(3) + 0.01 * np.arange(9).reshape(3, 3) / 9.0,
-        offset=[0.1, -0.2, 0.3],
-        parameters=(*MATRIX_NAMES, *OFFSET_NAMES),
-        covariance=covariance,
-        rms_residual=0.0,
-        count=18,
-        rank=12,
-        condition=1.0,
-        valid_range=(-G, G),
-    )
+    plain = plain_triad("m/s2", "m/s2", "accel", offset=(0.1, -0.2, 0.3))
+    return replace(plain, matrix=np.eye(3) + 0.01 * np.arange(9).reshape(3, 3) / 9.0, covariance=covariance)
 
 
 def corrected_by(m, record, **changes):
@@ -189,9 +175,8 @@ def test_stated_uncertainty_is_the_scatter_over_rests(memory):
         stated.append(dict(tilt.parts)["scatter"])
     real, said = np.sqrt(np.mean(np.square(angles))), np.sqrt(np.mean(np.square(stated)))
     show(f"memory {memory}: stated over real tilt scatter", said / real, "0.85 to 1.15")
-    assert (
-        0.85 < said / real < 1.15
-    )  # 200 runs of two axes know a scatter to 4 %; a memory of 33 samples leaves 30 looks
+    # 200 runs of two axes know a scatter to 4 %; a memory of 33 samples leaves 30 looks
+    assert 0.85 < said / real < 1.15
 
 
 def test_what_the_calibration_leaves_uncertain_is_added():
@@ -209,9 +194,8 @@ def test_what_the_calibration_leaves_uncertain_is_added():
     level = np.array(off) - np.outer(np.array(off) @ up, up)
     drawn = np.sqrt(np.mean(np.sum(level**2, axis=1))) / np.linalg.norm(force)
     show("tilt uncertainty from the calibration, stated and drawn, rad", (parts["calibration"], drawn))
-    assert parts["calibration"] == pytest.approx(
-        drawn, rel=0.05
-    )  # 4,000 draws know it to 1 %; the rest is second order
+    # 4,000 draws know it to 1 %; the rest is second order
+    assert parts["calibration"] == pytest.approx(drawn, rel=0.05)
 
 
 def test_what_is_no_rest_is_refused():
@@ -301,9 +285,8 @@ def test_coarse_codes_count_until_noise_averages_them_out():
         force = np.round((np.array([0.013, -0.011, G]) + noise * rng.standard_normal((400, 3))) / 0.04) * 0.04
         record = corrected_by(m, resting([0.0, 0.0, G], 400, accel=force), adc=adc)
         codes = dict(initial_tilt(record, Still(start=0, stop=400)).parts)["codes"]
-        assert codes * G == pytest.approx(
-            share * 0.04 / np.sqrt(6.0), rel=2e-3, abs=1e-6
-        )  # half a step, uniform, two axes
+        # half a step, uniform, two axes
+        assert codes * G == pytest.approx(share * 0.04 / np.sqrt(6.0), rel=2e-3, abs=1e-6)
 
 
 def test_a_body_that_sways_counts_and_a_bench_does_not():

@@ -229,8 +229,7 @@ def test_a_device_that_repeats_its_codes_at_rest_is_not_padded():
     smooth = np.where(t > 4.0, np.sin(t - 4.0) ** 3, 0.0)[:, None] * [1.0, 0.5, -0.3]
     for record in (
         Record(time=t, gyro=smooth, accel=9.81 + smooth),  # without noise
-        Record(
-            time=t, gyro=np.round(20.0 * smooth) / 20.0, accel=9.81 + np.round(20.0 * smooth) / 20.0
-        ),  # coarse codes
+        # coarse codes
+        Record(time=t, gyro=np.round(20.0 * smooth) / 20.0, accel=9.81 + np.round(20.0 * smooth) / 20.0),
     ):
         assert unpadded(record) is record

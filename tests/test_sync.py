@@ -7,9 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from testkit.hand_turns import Device, hidden, later, make_recording, upsampled
-from testkit.stepper_jig import find_axis_lag
 from undrift.errors import AlignmentError, InputError
-from undrift.record import Record, Reference
+from undrift.record import Reference
 from undrift.sync import find_lag, find_motion, in_step, native_poses, seen_poses
 
 FORWARD = np.array([[1.02, 0.01, -0.004], [-0.006, 0.97, 0.012], [0.003, -0.008, 1.01]])
@@ -23,9 +22,8 @@ def pair():
 
 def test_a_lag_of_a_fraction_of_a_sample_is_found_without_noise(pair):
     lag = find_lag(*pair)
-    assert lag.seconds == pytest.approx(
-        0.00714, abs=5e-6
-    )  # 1/1000 of a sample; straight lines between samples leave more
+    # 1/1000 of a sample; straight lines between samples leave more
+    assert lag.seconds == pytest.approx(0.00714, abs=5e-6)
     assert lag.correlation > 0.99999
     assert np.allclose(lag.matrix, np.linalg.inv(FORWARD), atol=2e-4)
     assert np.allclose(lag.constant, -np.linalg.inv(FORWARD) @ (0.01, -0.02, 0.005), atol=2e-4)
@@ -58,20 +56,6 @@ def test_clocks_seconds_apart_are_brought_together_across_gaps(pair):
     moved = hidden(hidden(later(reference, -3.2), 10.0, 12.5), 20.0, 20.3)
     lag = find_lag(record, moved)
     assert lag.seconds == pytest.approx(3.2 + 0.00714, abs=1e-4)
-
-
-def test_the_lag_against_the_angle_of_one_axis_is_found_in_dps():
-    rng = np.random.default_rng(5)
-    fine = np.arange(0.0, 60.0, 0.01)
-    angle = 2.0 * np.sin(1.3 * fine) + 1.1 * np.sin(0.37 * fine + 1.0)
-    t = np.arange(0.0, 58.0, 1.0 / 150.0)
-    true = t - 0.4137
-    rate = 2.6 * np.cos(1.3 * true) + 0.407 * np.cos(0.37 * true + 1.0)
-    gyro = np.degrees(rate)[:, None] * np.array([0.1, -0.99, 0.05]) + 0.3 + 0.5 * rng.normal(size=(len(t), 3))
-    lag = find_axis_lag(Record(time=t, gyro=gyro, gyro_unit="dps"), fine, angle)
-    assert lag.seconds == pytest.approx(0.4137, abs=4.0 * lag.standard_uncertainty)
-    assert lag.standard_uncertainty < 5e-4
-    assert lag.matrix.shape == (1, 3)
 
 
 def test_frames_drawn_on_straight_lines_are_given_back():

@@ -3,11 +3,8 @@
 import math
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from testkit.data import show
-from testkit.strategies import few
 from undrift.errors import InputError
 from undrift.units import EARTH_RATE, STANDARD_GRAVITY, canonical_unit, gravity_at, is_physical, si_factor
 
@@ -34,16 +31,6 @@ def test_the_other_quantities_have_theirs():
     assert si_factor("gauss", "mag") == 100.0
     assert si_factor("mm", "length") == 1e-3
     assert si_factor("°C", "temp") == 1.0
-
-
-@few
-@given(quantity=st.sampled_from(["rate", "accel", "temp", "time", "mag", "length"]), data=st.data())
-def test_a_canonical_name_stays_itself(quantity, data):
-    from undrift.units import _TO_SI
-
-    unit = data.draw(st.sampled_from(sorted(_TO_SI[quantity])))
-    assert canonical_unit(unit.upper(), quantity) == unit
-    assert si_factor(unit, quantity) > 0.0
 
 
 def test_g_is_no_unit_of_rate_and_a_device_unit_no_time():

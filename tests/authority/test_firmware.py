@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from testkit.broad_trials import trial
-from testkit.c_build import build, run_with_lag
+from testkit.c_build import build
 from testkit.column_maps import column_map
 from testkit.data import data_path, show
 from testkit.full_calibration import device
@@ -85,21 +85,3 @@ def test_firmware_corrects_a_recording_as_python_does(recording, tmp_path):
             if arithmetic == "double":  # and of each value, but for those that cancel to less than 1e-9 of full scale
                 large = np.abs(wanted) > 1e-9 * max(full, 1.0)
                 assert (np.abs(c - wanted)[large] <= 1e-6 * np.abs(wanted)[large]).all()
-
-
-@pytest.mark.parametrize("arithmetic", ["double", "float"])
-def test_firmware_removes_the_thermometer_lag_as_python_does(arithmetic, tmp_path):
-    record, calibration = warm_up()
-    lagging = replace(calibration, drift=replace(calibration.drift, lag_s=84.0, lag_smooth_s=20.0))
-    exported = export_c(lagging)
-    out, same = run_with_lag(exported, tmp_path, arithmetic, record)
-    python = correct_checked(same, lagging, policy="hold").record
-    plain = correct_checked(same, calibration, policy="hold").record
-    for k, name in enumerate(("gyro", "accel")):
-        wanted = getattr(python, name)
-        worst = float(np.abs(out[:, 3 * k : 3 * k + 3] - wanted).max())
-        full = float(np.abs(wanted).max())
-        limit = 1e-6 * full if arithmetic == "float" else 1e-12 * max(full, 1.0)
-        show(f"{arithmetic}, {name}, with lag: worst difference, SI", f"{worst:.3g}", f"{limit:.3g}")
-        assert worst <= limit
-        assert worst < 0.05 * np.abs(getattr(plain, name) - wanted).max()  # the lag matters

@@ -8,7 +8,6 @@ import pytest
 
 from testkit.column_maps import column_map
 from testkit.data import DATA, data_path, show
-from undrift.errors import FileFormatError
 from undrift.io.column_map import ChannelScale, ColumnMap, TextLayout
 from undrift.io.columns import build_record
 from undrift.io.formats import read_counted, read_record
@@ -48,8 +47,8 @@ WARM_UP = {"time": "Time", "time_unit": "ms", "temp_unit": "degC", "accel": ("Ax
 DIE = {**WARM_UP, "gyro": ("Gx", "Gy", "Gz"), "gyro_unit": "dps", "gyro_scale": ChannelScale(1 / 16.4), "temp": "dTemp",
        "temp_scale": ChannelScale(1 / 340, 36.53)}  # fmt: skip
 JIG = {"gyro": ("gyro_bno_dps",), "gyro_unit": "dps", "accel": ("acc_bno_g",), "accel_unit": "g", "time_unit": "s"}
-BICYCLE = {"time": "t_s", "time_unit": "s", "gyro": ("gyro_rad_s",), "gyro_unit": "rad/s", "accel": ("acc_raw",),
-           "accel_unit": "count", "temp": "temp_degC", "temp_unit": "degC"}  # fmt: skip
+
+
 AXIVITY = {"time": "time", "time_unit": "s", "gyro": ("gyro",), "gyro_unit": "dps", "accel": ("accel",), "accel_unit": "g",
            "temp": "temperature", "temp_unit": "degC"}  # fmt: skip
 MPU6050 = {"accel": ("ax", "ay", "az"), "gyro": ("gx", "gy", "gz"), "accel_unit": "g", "gyro_unit": "dps",
@@ -191,30 +190,6 @@ def test_xsens_session_joins_its_two_files(tmp_path):
     assert record.gyro[0].tolist() == [32786, 32429, 32499]
     still = record.between(5.0, 45.0)  # about 4,018 counts per g, zero near 32,768
     assert np.linalg.norm(still.accel.mean(axis=0) - 32768) == approx(4018, rel=0.15)
-
-
-@pytest.mark.slow
-def test_bicycle_board_reads_from_eleven_files():
-    paths = sorted(data_path("multipos_mpu6050_bicycle").glob("*.npz"))
-    records = [read_npz(path, column_map(**BICYCLE)) for path in paths]
-    lengths = [record.duration_s for record in records]
-    assert (len(records), min(lengths), max(lengths)) == (11, approx(24, abs=0.5), approx(90, abs=0.5))
-    temps = [float(t) for record in records for t in (record.temp_c.min(), record.temp_c.max())]
-    assert min(temps) > 21.4
-    assert max(temps) < 24.1
-    assert all(record.sample_rate_hz == approx(200.0, abs=0.01) for record in records)
-
-
-@pytest.mark.parametrize(("name", "force"), [("hot", 0.252), ("cold", 0.254)])
-def test_wrong_scale_of_a_dirty_log_is_named(name, force):
-    path = data_path(BMI270, f"BMI_270_{name}_test.csv.gz")
-    columns = column_map(**DIRTY, drop_bad_rows=True)
-    findings = {item.code: item.values for item in describe(path, columns).findings}
-    assert findings["recording.rows_left_out"]["count"] == read_counted(path, columns).dropped_rows
-    assert findings["recording.gravity"]["median_g"] == approx(force, abs=0.0005)
-    assert findings["recording.gravity"]["direction"] == "small"
-    with pytest.raises(FileFormatError, match="set drop_bad_rows"):
-        read_counted(path, column_map(**DIRTY))
 
 
 @pytest.mark.slow

@@ -131,13 +131,3 @@ def test_accel_differs_from_the_poses_by_less_than_0_17_m_s2():
     show("lever arm in the two fast trials, mm", np.round(1e3 * arms, 1).tolist(), "about 9 mm; 1.5 mm of one another")
     assert np.linalg.norm(arms, axis=1) == pytest.approx(0.008, abs=0.0015)
     assert np.abs(arms[0] - arms[1]).max() < 1.5e-3  # one board, one device
-
-
-def test_long_gaps_of_the_optics_are_masked():
-    _, reference = trial(35)
-    poses = native_poses(reference)
-    spline = fit_pose_spline(poses)
-    gap = max(b[0] - a[1] for a, b in zip(spline.pieces, spline.pieces[1:], strict=False))
-    show("trial 35: stretches; longest masked, s", f"{len(spline.pieces)}; {gap:.2f}", "over 0.5")
-    assert len(spline.pieces) > 1
-    assert gap > 0.5  # 0.1 s and 0.2 s on either side

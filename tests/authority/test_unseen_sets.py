@@ -128,8 +128,7 @@ def test_hour_at_rest_gives_the_white_noise() -> None:
     fit = fit_noise(Record(time=np.linspace(0.0, 3600.0, len(counts)), gyro=counts, gyro_unit="count"))
     density = np.array([axis.angle_random_walk.value for axis in fit.gyro])
     show("course_icm20948: angle random walk, counts/sqrt(Hz)", density)
-    plain = counts.std(axis=0) * np.sqrt(
-        3600.0 / len(counts)
-    )  # an upper limit: the standard deviation contains the drift
+    # an upper limit: the standard deviation contains the drift
+    plain = counts.std(axis=0) * np.sqrt(3600.0 / len(counts))
     assert (density < plain).all()
     assert (density > 0.5 * plain).all()

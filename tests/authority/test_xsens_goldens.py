@@ -115,9 +115,8 @@ def test_whole_procedure_agrees_with_the_coverage_rule() -> None:
     rows = 100.0 * (calibration.gyro.scale_factor / FACTORY_GYRO - 1.0)
     show(f"calibrate: scale ({DEFINITION}) against the certificate, %, gyro", np.round(off, 3), 0.12)
     show("calibrate: the same by rows of the forward matrix, %", np.round(rows, 3), "another figure")
-    np.testing.assert_allclose(
-        scale, parts(gyro.model)[0], rtol=1e-4
-    )  # stated: 7e-4; creep weighs the moves a little otherwise
+    # stated: 7e-4; creep weighs the moves a little otherwise
+    np.testing.assert_allclose(scale, parts(gyro.model)[0], rtol=1e-4)
     assert np.abs(off).max() < 0.12  # 0.107 measured, 1.5 standard uncertainties
 
 

@@ -110,16 +110,6 @@ def test_gap_in_one_triad_does_not_reach_the_other():
     assert np.flatnonzero(np.isnan(joined.gyro).any(axis=1)).tolist() == [5]
 
 
-@pytest.mark.parametrize("static", [STEPS, WILD], ids=["even", "searched"])
-def test_gap_in_temperature_is_a_gap_in_the_result(static):
-    r = record()
-    temp = r.temp_c.copy()
-    temp[7] = np.nan
-    done = correct_checked(replace(r, temp_c=temp), device(drift=tables(static=static)))
-    assert np.flatnonzero(np.isnan(done.record.gyro).any(axis=1)).tolist() == [7]
-    assert not done.outside.any()
-
-
 @pytest.mark.parametrize("policy", ["raise", "hold", "nan"])
 def test_gap_in_temperature_is_counted_under_every_policy(policy):
     r = record()

@@ -42,9 +42,8 @@ def test_thermal_table_agrees_at_the_calibration_temperature(seed):
     rng, noise, many = np.random.default_rng(seed), 2.0, 4000
     raw = at_rest(np.full(many, REFERENCE_C), rng, noise)
     c = device(g=False)
-    c = replace(
-        c, gyro=replace(c.gyro, offset=raw.gyro.mean(axis=0)), reference_temp_c=REFERENCE_C
-    )  # calibrated at rest
+    # calibrated at rest
+    c = replace(c, gyro=replace(c.gyro, offset=raw.gyro.mean(axis=0)), reference_temp_c=REFERENCE_C)
     table = fitted_table(rng, noise)
     alone = correct(raw, c).gyro.mean(axis=0)
     both = correct(raw, replace(c, drift=DriftTables(static=table))).gyro.mean(axis=0)

@@ -103,9 +103,8 @@ def test_gap_in_temperature_stays_a_gap_with_a_lag():
 
 
 def test_range_is_that_of_the_temperature_without_lag():
-    r = record(
-        temp_c=np.linspace(40.0, 70.0, N)
-    )  # at 15 degC/s half a second late, a tenth of it left: 6 degC more at the end
+    # at 15 degC/s half a second late, a tenth of it left: 6 degC more at the end
+    r = record(temp_c=np.linspace(40.0, 70.0, N))
     c = device(drift=lagging(tables(dynamic=None)))
     assert not correct_checked(r, device(drift=tables(dynamic=None))).outside.any()
     with pytest.raises(DriftRangeError, match=r"got 40.0 to 7[5-7].\d degC"):

@@ -83,14 +83,6 @@ def test_raise_refuses_readings_far_beyond_the_data():
         Corrector(c, "raise").push_checked(record(high=63.9))
 
 
-def test_tables_without_a_mark_or_met_elsewhere_give_no_warning():
-    assert not correct_checked(record(), device(drift=marked(tables(dynamic=None), static=STEPS < 0.0))).warnings
-    cold = device(drift=marked(tables(dynamic=None), static=STEPS > 60.0, accel=False))
-    assert not correct_checked(record(high=60.0), cold).warnings
-    gap = replace(record(), temp_c=np.full(N, np.nan))
-    assert not correct_checked(gap, cold).extrapolated.any()
-
-
 def test_a_stream_reports_the_extrapolated_nodes_of_the_batch():
     marks = np.zeros((len(STEPS), len(GAP)), dtype=bool)
     marks[50:] = GAP > 0.5
@@ -104,17 +96,6 @@ def test_a_stream_reports_the_extrapolated_nodes_of_the_batch():
     many = correct_checked(r, c, policy="nan", threads=3)
     np.testing.assert_array_equal(many.extrapolated, batch.extrapolated)
     assert many.warnings == batch.warnings
-
-
-@pytest.mark.parametrize(
-    "nodes", [np.array([20.0, 30.0, 40.0, 50.0]), np.array([20.0, 30.0, 41.0, 50.0])], ids=["even", "searched"]
-)
-@pytest.mark.parametrize("marked_node", [0, 1, 2, 3])
-def test_on_a_node_only_its_own_mark_counts(nodes, marked_node):
-    marks = np.arange(4) == marked_node
-    r = record(4, temp_c=nodes)
-    c = device(drift=marked(tables(static=nodes, dynamic=None), static=marks, accel=False))
-    np.testing.assert_array_equal(correct_checked(r, c, policy="hold").extrapolated, marks)
 
 
 def test_mark_on_a_node_of_rate_and_temperature_counts_there():

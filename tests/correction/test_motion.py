@@ -75,9 +75,8 @@ def test_intervals_hold_the_offset_of_people_who_move(name: TaskName, raw: bool,
     low = binom.ppf(0.001, error.size, 0.90)
     assert inside >= low
     assert 0.7 < ratio < 1.3
-    assert (error[:, :2] ** 2).sum() < 0.3 * (
-        first[:, :2] ** 2
-    ).sum()  # people stay upright: z keeps what the rest says
+    # people stay upright: z keeps what the rest says
+    assert (error[:, :2] ** 2).sum() < 0.3 * (first[:, :2] ** 2).sum()
 
 
 def swaying(seconds: float, drift: np.ndarray) -> Record:
@@ -86,9 +85,8 @@ def swaying(seconds: float, drift: np.ndarray) -> Record:
     lean = np.stack((np.sin(0.7 * time), np.cos(0.5 * time), np.zeros_like(time)), axis=1) * np.radians(10.0)
     turned = Rotation.from_rotvec(lean)
     rate = np.vstack(((turned[:-1].inv() * turned[1:]).as_rotvec() * 20.0, np.zeros(3)))
-    rate = (
-        np.roll(rate, 1, axis=0) + np.linspace(-0.5, 0.5, len(time))[:, None] * drift
-    )  # a rate leads to its own sample
+    # a rate leads to its own sample
+    rate = np.roll(rate, 1, axis=0) + np.linspace(-0.5, 0.5, len(time))[:, None] * drift
     force = turned.inv().apply([0.0, 0.0, STANDARD_GRAVITY]) + 0.1 * np.random.default_rng(1).standard_normal(
         (len(time), 3)
     )

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from testkit.rate_steps import GRAVITY, reading
+from testkit.rest_blocks import rest_blocks
 from undrift.drift.accel import fit_accel_drift
-from undrift.drift.observe import RestBlocks
 from undrift.errors import NotObservable
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration, true_tables
@@ -33,18 +33,8 @@ def rests(made, poses, noise=NOISE, seed=1):
     up = np.array([u for _, _, u in poses])
     n, sigma = len(temp), noise * made.accel.gain
     mean = reading(made.accel, GRAVITY * up, temp - made.reference_temp_c)
-    return RestBlocks(
-        session=np.zeros(n, int),
-        pose=np.array([k for _, k, _ in poses]),
-        time=np.arange(n, dtype=float),
-        power_on_s=np.zeros(n),
-        temp_c=temp,
-        ramp_c_per_min=np.zeros(n),
-        gyro=np.zeros((n, 3)),
-        accel=mean + np.random.default_rng(seed).normal(0.0, sigma, (n, 3)),
-        gyro_variance=np.ones((n, 3)),
-        accel_variance=np.full((n, 3), sigma**2),
-    )
+    accel = mean + np.random.default_rng(seed).normal(0.0, sigma, (n, 3))
+    return rest_blocks(temp, np.zeros((n, 3)), accel=accel, noise=sigma, pose=np.array([k for _, k, _ in poses]))
 
 
 def fitted(given, made):

@@ -172,9 +172,8 @@ def test_a_log_that_never_moves_is_one_rest_of_ten_second_blocks():
     np.testing.assert_allclose(np.diff(blocks.time), 10.0, atol=0.1)
     np.testing.assert_allclose(blocks.ramp_c_per_min, 1.0, atol=1e-6)
     np.testing.assert_allclose(blocks.gyro, np.tile([1.0, -2.0, 0.5], (30, 1)), atol=5 * 0.1 / 200**0.5)
-    np.testing.assert_allclose(
-        np.sqrt(blocks.gyro_variance), 0.1 / 200**0.5, rtol=0.15
-    )  # 300 differences of half seconds
+    # 300 differences of half seconds
+    np.testing.assert_allclose(np.sqrt(blocks.gyro_variance), 0.1 / 200**0.5, rtol=0.15)
 
 
 def test_torn_lines_spikes_and_gaps_do_not_reach_the_means():
@@ -239,6 +238,5 @@ def test_equal_readings_are_refused_however_the_clock_was_set():
     with pytest.raises(InputError, match="the same data"):
         check_once([thermal(first), thermal(replace(first, time=first.time + 1000.0))])
     gap = np.where(np.arange(len(first))[:, None] < 400, np.nan, first.gyro)
-    check_once(
-        [thermal(replace(log(30.0, seed=k), gyro=gap)) for k in range(2)]
-    )  # gaps are equal, accelerations are not
+    # gaps are equal, accelerations are not
+    check_once([thermal(replace(log(30.0, seed=k), gyro=gap)) for k in range(2)])

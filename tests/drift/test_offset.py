@@ -7,6 +7,8 @@ import pytest
 
 from testkit.data import show
 from testkit.full_calibration import device
+from testkit.plain_triad import plain_triad
+from testkit.rest_blocks import rest_blocks
 from undrift.drift.observe import RestBlocks
 from undrift.drift.offset import (
     StaticSettings,
@@ -17,27 +19,14 @@ from undrift.drift.offset import (
     warm_up_time,
 )
 from undrift.errors import NotObservable
-from undrift.model import G_NAMES, TriadModel
+from undrift.model import G_NAMES
 
 NODES = np.arange(20.0, 60.1, 1.0)
 
 
-def blocks(temp_c, gyro, *, accel=None, session=0, noise=1e-3, time=None):
-    n = len(temp_c)
-    whole = np.full(n, session, np.int64)
-    clock = 10.0 * np.arange(n) if time is None else time
-    return RestBlocks(
-        session=whole,
-        pose=whole,
-        time=clock,
-        power_on_s=clock,
-        temp_c=np.asarray(temp_c, float),
-        ramp_c_per_min=np.zeros(n),
-        gyro=gyro,
-        accel=np.full((n, 3), np.nan) if accel is None else accel,
-        gyro_variance=np.full((n, 3), noise**2),
-        accel_variance=np.full((n, 3), noise**2),
-    )
+def blocks(temp_c, gyro, *, session=0, **columns):
+    whole = np.full(len(temp_c), session, np.int64)
+    return rest_blocks(temp_c, gyro, session=whole, pose=whole, **columns)
 
 
 def joined(*parts):
@@ -51,10 +40,7 @@ def line(temp_c, rng, noise=1e-3):
 
 def test_accelerometer_offsets_start_from_the_calibration():
     rng = np.random.default_rng(0)
-    model = TriadModel(
-        method="six-face", unit_in="g", unit_out="m/s2", matrix=9.81 * np.eye(3), offset=np.array([0.01, 0.02, 0.03]),
-        covariance=np.zeros((12, 12)), rms_residual=0.0, count=6, rank=12, condition=1.0, valid_range=(-20.0, 20.0),
-    )  # fmt: skip
+    model = plain_triad("g", "m/s2", "accel", offset=(0.01, 0.02, 0.03))
     calibration = replace(device(), accel=model, gyro=None, reference_temp_c=30.0)
     temp = np.linspace(20.0, 60.0, 80)
     drift = 1e-3 * np.outer(temp - 30.0, [1.0, 0.0, -1.0])
@@ -153,10 +139,7 @@ def test_accelerometer_at_the_reference_keeps_its_uncertainty():
     own = np.array([4e-6, 9e-6, 1e-6])  # variances of the offset, g squared
     covariance = np.zeros((12, 12))
     covariance[9:, 9:] = np.diag(own)
-    model = TriadModel(
-        method="six-face", unit_in="g", unit_out="m/s2", matrix=9.81 * np.eye(3), offset=np.zeros(3),
-        covariance=covariance, rms_residual=0.0, count=6, rank=12, condition=1.0, valid_range=(-20.0, 20.0),
-    )  # fmt: skip
+    model = replace(plain_triad("g", "m/s2", "accel"), covariance=covariance)
     calibration = replace(device(), accel=model, gyro=None, reference_temp_c=40.0)
     temp = np.linspace(20.0, 60.0, 80)
     accel = [0.0, 0.0, 1.0] + 1e-3 * rng.normal(size=(80, 3))

@@ -12,7 +12,7 @@ import pytest
 
 from testkit.column_maps import column_map
 from testkit.data import data_path, show
-from undrift.drift.observe import RestBlocks
+from testkit.rest_blocks import rest_blocks
 from undrift.drift.temperature import (
     NO_READING,
     Temperature,
@@ -201,9 +201,8 @@ def test_ramp_is_followed_with_the_small_lag():
     said = lagging(time, temp)
     result, _ = without_lag(said, time, lag_s=TAU, smooth_s=5.0)
     assert temp[-1] - said[-1] == pytest.approx(0.05 * TAU, rel=1e-6)
-    assert temp[-1] - result[-1] == pytest.approx(
-        0.05 * 5.0, rel=1e-4
-    )  # the reading bends between samples: (dt / tau)^2
+    # the reading bends between samples: (dt / tau)^2
+    assert temp[-1] - result[-1] == pytest.approx(0.05 * 5.0, rel=1e-4)
 
 
 def test_chunks_give_the_bits_of_the_batch():
@@ -263,7 +262,7 @@ def test_a_wrong_call_is_refused(changes, words):
 STEP_S = 10.0
 
 
-def blocks(temp, *, lag_s=30.0, noise=0.005, loop=0.0, seed=0, sessions=None):
+def blocks(temp, *, lag_s=30.0, noise=0.005, loop=0.0, seed=0):
     """Return blocks of a board at ``temp``, read by a thermometer that lags, of a gyro with offset 0.07 T + 0.002 T^2."""
     read = np.empty_like(temp)
     read[0] = temp[0]
@@ -272,19 +271,8 @@ def blocks(temp, *, lag_s=30.0, noise=0.005, loop=0.0, seed=0, sessions=None):
     slope = (temp - read) / lag_s
     x = temp - 25.0
     true = np.column_stack((0.07 * x + 0.002 * x**2, -0.05 * x, 0.02 * x)) + loop * -np.sign(np.gradient(temp))[:, None]
-    n = len(temp)
-    return RestBlocks(
-        session=np.zeros(n, dtype=np.int64) if sessions is None else sessions,
-        pose=np.zeros(n, dtype=np.int64) if sessions is None else sessions,
-        time=STEP_S * np.arange(n),
-        power_on_s=np.full(n, 5000.0),
-        temp_c=read,
-        ramp_c_per_min=60.0 * slope,
-        gyro=true + np.random.default_rng(seed).normal(0.0, noise, (n, 3)),
-        accel=np.full((n, 3), np.nan),
-        gyro_variance=np.full((n, 3), noise**2),
-        accel_variance=np.full((n, 3), np.nan),
-    )
+    gyro = true + np.random.default_rng(seed).normal(0.0, noise, (len(temp), 3))
+    return rest_blocks(read, gyro, noise=noise, power_on_s=np.full(len(temp), 5000.0), ramp_c_per_min=60.0 * slope)
 
 
 def there_and_back(c_per_min, low=20.0, high=40.0):

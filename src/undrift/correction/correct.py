@@ -206,10 +206,12 @@ def correct_checked(
 
     Parameters
     ----------
-    record, calibration, policy, out, power_on_s, offset, check
+    record, calibration, policy, out
         As for ``correct``, which also lists the exceptions.
     threads : int, optional
         By default all processors for long records, and one for short records. The result does not depend on it.
+    power_on_s, offset, check
+        As for ``correct``.
 
     Examples
     --------
