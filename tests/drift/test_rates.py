@@ -69,9 +69,9 @@ def test_offset_is_linear_between_nodes_and_constant_beyond():
     calibration = true_calibration(device())
     table = StaticDrift(temp_c=[20.0, 30.0], gyro_offset=[[0.0, 1.0, 2.0], [10.0, 1.0, 0.0]])
     three = replace(steps_of(device()).taken(slice(0, 3)), temp_c=np.array([10.0, 25.0, 40.0]))
-    at = three.gyro - prepared(three, calibration.gyro, static=table).reading
+    at = three.gyro - prepared(three, calibration.gyro, static=table).gyro
     np.testing.assert_allclose(at, [[0.0, 1.0, 2.0], [5.0, 1.0, 1.0], [10.0, 1.0, 0.0]], atol=1e-9)
-    at = three.gyro - prepared(three, calibration.gyro, static=None).reading
+    at = three.gyro - prepared(three, calibration.gyro, static=None).gyro
     np.testing.assert_allclose(at, np.tile(calibration.gyro.offset, (3, 1)))
 
 
@@ -243,7 +243,7 @@ def test_both_tables_predict_a_soak_that_was_left_out(changes, devices):
             out, rest = (clean.taken(rows) for rows in (clean.soak == soak, clean.soak != soak))
             scale = fit_scale(rest, truth, temp_c=NODES)
             dynamic = fit_dynamic(rest, truth, span_c=(18.0, 75.0), scale=scale.drift)
-            rate = measured_rate(out.reading, out.temp_c, truth, scale.drift)
+            rate = measured_rate(out.gyro, out.temp_c, truth, scale.drift)
             error = rate - out.rate_b
             for axis, surface in enumerate(dynamic.surfaces):
                 error[:, axis] -= surface.at(rate[:, axis], out.temp_c)

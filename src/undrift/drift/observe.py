@@ -64,8 +64,8 @@ class StretchMeans:
 
     def taken(self, which: Any) -> Self:
         """Return some of the rows, numbers unchanged."""
-        columns: dict[str, Any] = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        return replace(self, **{name: column[which] for name, column in columns.items() if column is not None})
+        columns: Any = ((name, getattr(self, name)) for name in self.__dataclass_fields__)
+        return replace(self, **{name: values[which] for name, values in columns if isinstance(values, np.ndarray)})
 
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:

@@ -26,8 +26,7 @@ References
 .. [1] G. Wahba, "Bayesian confidence intervals for the cross-validated smoothing spline", J. R. Stat. Soc. B 45, 1983, 133-150.
 """
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -55,28 +54,14 @@ MAX_INTERVALS = 6  # intervals of 30 deg/s over the note's rates
 LEAST_DIGIT = 1e-9  # relative to the readings, the arithmetic error of a mean
 LEAST_NOISE = 1e-6  # relative to the values (rad/s if all values are 0), below which noise cannot be resolved
 
-ROWS = ("soak", "mounting", "axis", "temp_c", "rate_b", "reading", "variance")
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Steps:
-    """Usable rate steps, n rows."""
+class Steps(RateSteps):
+    """Usable rate steps, n rows. The offset is subtracted from the readings, and soaks are numbered over all sessions."""
 
-    soak: IntArray  # (n,), numbered over all sessions
     mounting: IntArray  # (n,), numbered over all soaks
     axis: IntArray  # (n,), main axis about which the mounting turned
-    temp_c: FloatArray  # (n,), degC
-    rate_b: FloatArray  # (n, 3), imposed rate in case axes, rad/s
-    reading: FloatArray  # (n, 3), offset subtracted, raw unit
-    variance: FloatArray  # (n, 3), raw unit squared
     findings: tuple[Finding, ...] = ()
-
-    def __len__(self) -> int:
-        return len(self.temp_c)
-
-    def taken(self, rows: Any) -> "Steps":
-        """Return some of the rows, with unchanged numbers of mountings."""
-        return replace(self, **{name: getattr(self, name)[rows] for name in ROWS})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -134,13 +119,16 @@ def prepared(steps: RateSteps, model: TriadModel, *, static: StaticDrift | None)
         "the case."
     )
     return Steps(
+        session=usable.session,
         soak=soak,
         mounting=mounting,
         axis=axis,
         temp_c=usable.temp_c,
         rate_b=usable.rate_b,
-        reading=usable.gyro - _offset_at(usable.temp_c, model, static),
-        variance=np.maximum(known_variance(usable.gyro_variance), (LEAST_DIGIT * np.abs(usable.gyro).max(axis=0)) ** 2),
+        gyro=usable.gyro - _offset_at(usable.temp_c, model, static),
+        gyro_variance=np.maximum(
+            known_variance(usable.gyro_variance), (LEAST_DIGIT * np.abs(usable.gyro).max(axis=0)) ** 2
+        ),
         findings=(finding("drift.left_out", "warn", left_out),) if lost else (),
     ).taken(rows)
 
@@ -221,10 +209,10 @@ def soak_matrices(steps: Steps, model: TriadModel) -> SoakMatrices:
         rows = np.flatnonzero(steps.mounting == m)
         j, k = steps.axis[rows[0]], np.searchsorted(numbers, steps.soak[rows[0]])
         rate, beside = steps.rate_b[rows, j], steps.rate_b[rows] * (np.arange(3) != j)
-        reading, size = steps.reading[rows] - beside @ constant.T, np.abs(rate).max()
+        reading, size = steps.gyro[rows] - beside @ constant.T, np.abs(rate).max()
         design = np.column_stack((rate / size, np.ones(len(rows))))
         for i in range(3):
-            theta, covariance = _weigh(design, reading[:, i], steps.variance[rows, i])
+            theta, covariance = _weigh(design, reading[:, i], steps.gyro_variance[rows, i])
             forward[k, i, j], variance[k, i, j] = theta[0] / size, covariance[0, 0] / size**2
     order = np.argsort(temp_c, kind="stable")
     return SoakMatrices(temp_c=temp_c[order], forward=forward[order], variance=variance[order])
@@ -334,13 +322,13 @@ def _surface_points(axis: int, steps: Steps, model: TriadModel, scale: ScaleDrif
     axis_steps = steps.taken(steps.axis == axis)
     if len(np.unique(axis_steps.soak)) < 3:
         return None
-    rate = measured_rate(axis_steps.reading, axis_steps.temp_c, model, scale)[:, axis]
+    rate = measured_rate(axis_steps.gyro, axis_steps.temp_c, model, scale)[:, axis]
     row = measured_rate(np.eye(3), np.zeros(3), model, None)[:, axis]  # row of M
     return SurfacePoints(
         turn_rate=rate,
         temp_c=axis_steps.temp_c,
         value=rate - axis_steps.rate_b[:, axis],
-        variance=axis_steps.variance @ row**2,
+        variance=axis_steps.gyro_variance @ row**2,
         soak=_number_groups(axis_steps.soak),
         mounting=_number_groups(axis_steps.mounting),
     )
