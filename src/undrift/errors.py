@@ -17,8 +17,6 @@ from functools import cache
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
-_UNIONS = (Union, UnionType)
-
 
 class UndriftError(Exception):
     """Root of all errors undrift raises on purpose.
@@ -126,12 +124,6 @@ def _values_of(hint: object) -> tuple[object, ...]:
     """Return the values of a Literal type, including None if it is optional. Other types give an empty tuple."""
     if get_origin(hint) is Literal:
         return get_args(hint)
-    values: tuple[object, ...] = ()
-    for argument in get_args(hint) if get_origin(hint) in _UNIONS else ():
-        if argument is type(None):
-            values += (None,)
-        elif part_values := _values_of(argument):
-            values += part_values
-        else:
-            return ()  # the union also allows values outside the Literal
-    return values
+    parts = get_args(hint) if get_origin(hint) in (Union, UnionType) else ()
+    values = [(None,) if part is type(None) else _values_of(part) for part in parts]
+    return sum(values, ()) if all(values) else ()  # one part without a Literal allows any value

@@ -249,16 +249,6 @@ def test_the_smoothing_balances_noise_and_the_lag_left():
     assert default_smooth_s(80.0, column(time, time, 0.02)) == pytest.approx(np.sqrt(0.02 * 80.0 * 60.0))
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [({"smooth_s": 0.0}, "got 40 and 0"), ({"state": (2.0, *NO_READING[1:])}, "must follow 2 s")],
-)
-def test_a_wrong_call_is_refused(changes, words):
-    call = {"time": np.arange(4.0), "lag_s": TAU, "smooth_s": 4.0, **changes}
-    with pytest.raises(InputError, match=words):
-        without_lag(np.full(4, 20.0), **call)
-
-
 STEP_S = 10.0
 
 

@@ -54,7 +54,7 @@ QUIET = 0.05  # in steps: smaller noise does not repeat changes of step
 SAME_STEP = 0.02  # in steps: largest distance of a column from whole steps
 # ---- and of the lag
 RAMP_C_PER_MIN = 1.0  # slope at which noise and remaining lag are balanced
-AT_ONCE = 1e-300  # s: a low-pass so fast that it is not there
+AT_ONCE = 1e-300  # s: a low-pass so fast that it is not there, for no lag
 LONGEST_LAG_S = 300.0
 NODE_C, MOST_KNOTS = 5.0, 16  # between the spline's knots
 FEWEST = 24  # blocks
@@ -243,14 +243,7 @@ def without_lag(
     """Subtract the thermometer's lag with a causal filter, for temperatures (N,), degC, at times (N,), s."""
     from undrift.kernels.calibrate import lead
 
-    if not (0.0 <= lag_s < math.inf and 0.0 <= smooth_s < math.inf) or (lag_s > 0.0 and smooth_s == 0.0):
-        raise InputError(
-            f"lag: lag_s and smooth_s must be 0 s or more, and smooth_s above 0 for a lag, got {lag_s:g} and {smooth_s:g}. "
-            "default_smooth_s gives one."
-        )
     x, t = (np.ascontiguousarray(v, dtype=np.float64) for v in (temp_c, time))
-    if len(t) and t[0] <= state[0]:
-        raise InputError(f"lag: readings must follow {state[0]:.6g} s, got {t[0]:.6g} s. Push chunks in order.")
     y, next_state = np.empty_like(x), np.array(state)
     lead(x, t, y, lag_s, smooth_s or AT_ONCE, next_state)
     return y, tuple(next_state.tolist())
