@@ -18,15 +18,6 @@ CALIBRATION = perfect_calibration()
 STILL = Record(time=np.arange(100) / 50.0, gyro=np.zeros((100, 3)), accel=np.tile((0.0, 0.0, 9.8), (100, 1)))
 
 
-def test_errors_form_one_tree():
-    kinds = [kind for kind in vars(errors).values() if isinstance(kind, type) and issubclass(kind, Exception)]
-    assert len(kinds) == 14
-    assert all(issubclass(kind, errors.UndriftError) for kind in kinds)
-    assert issubclass(errors.FileFormatError, errors.InputError)
-    assert issubclass(errors.InputError, ValueError)
-    assert {k.__name__ for k in errors.CalibrationError.__subclasses__()} == {"NotObservable", "PoorFit", "Implausible"}
-
-
 def test_numbers_ride_along_as_attributes():
     error = errors.PoorFit("wanted 1, got 2; do 3", got=2.0)
     assert str(error) == "wanted 1, got 2; do 3"

@@ -82,7 +82,7 @@ def _add_left_out(fit: StaticFit, left_out: RestBlocks, branch: float, calibrati
     if gyro_fit is None or gyro_fit.offset is None or calibration.gyro is None:
         raise NotObservable("soaks: wanted a table of gyroscopes, got none; draw another device")
     node = int(np.abs(fit.table.temp_c - left_out.temp_c.mean()).argmin())
-    noise = variance_of_mean(left_out.gyro, np.nan_to_num(left_out.gyro_variance), left_out.gyro_step_error)
+    noise = variance_of_mean(np.nan_to_num(left_out.gyro_variance), left_out.gyro_step_error)
     error, variance = left_out.gyro.mean(axis=0) - gyro_fit.offset[node], gyro_fit.uncertainty[node] ** 2 + noise
     if gyro_fit.hysteresis is not None and gyro_fit.hysteresis_uncertainty is not None:
         # the branch is known, so the half-width is not an uncertainty
@@ -118,9 +118,10 @@ def _soaks(
         if length == 1:  # a table of single readings has no information about noise
             last = np.array(ends) - 1
             first = np.unique(visit, return_index=True)[1]
+            unknown = np.full((len(last), 3), np.nan)
             blocks = replace(
-                blocks.taken(first), gyro=np.array(record.gyro)[last], temp_c=read_c[last], gyro_step_error=None,
-                gyro_variance=np.full((len(last), 3), np.nan),
+                blocks.taken(first), gyro=np.array(record.gyro)[last], temp_c=read_c[last], gyro_variance=unknown,
+                gyro_step_error=np.zeros_like(unknown),
             )  # fmt: skip
             visit = np.arange(len(last))
         soaks[length] = blocks, visit

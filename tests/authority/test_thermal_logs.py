@@ -150,7 +150,7 @@ def left_out(blocks, group, calibration=IN_G):
         ):
             if triad is not None:
                 errors.append(y.mean(axis=0) - triad.curve.at(nodes).value[node])
-                noise = variance_of_mean(y, np.nan_to_num(variance), step)
+                noise = variance_of_mean(np.nan_to_num(variance), step)
                 stated.append(np.sqrt(triad.uncertainty[node] ** 2 + noise))
     shape = (len(np.unique(group)), -1)
     return np.reshape(errors, shape), np.reshape(stated, shape)

@@ -7,7 +7,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom
 
-from testkit.broad_trials import FILES, trial
 from testkit.data import show
 from undrift.arrays import FloatArray
 from undrift.correction.correct import correct_checked
@@ -23,7 +22,6 @@ from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.tasks import TaskName, draw_task
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation.expected import offset_answer
-from undrift.validation.trial import TrialSettings, validate_trial
 
 RATE_HZ = 50.0
 
@@ -111,28 +109,6 @@ def test_offset_of_a_long_recording_is_followed() -> None:
     show("errors of four stretches about x and y, deg/s", np.abs(off).max(), 0.003)
     assert np.abs(off).max() < 0.003
     np.testing.assert_allclose(offset.at(offset.time), offset.rate)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("numbers", [(3, 7, 24), tuple(FILES)])
-def test_gravity_in_motion_halves_the_inclination(
-    numbers: tuple[int, ...],
-) -> None:
-    ends = []
-    for number in numbers:
-        record, reference = trial(number)
-        judged = [
-            validate_trial(record, reference, settings=TrialSettings(offset=offset)).figures
-            for offset in ("rest", "motion")
-        ]
-        ends.append([item.end_inclination_deg for item in judged])
-    show(
-        "end inclination of eight trials of two minutes, mean, deg: rest, motion",
-        np.mean(ends, axis=0).round(2).tolist(),
-    )
-    before, after = np.transpose(ends)
-    assert (after < before).all()
-    assert after.mean() < 0.6 * before.mean()
 
 
 def test_orient_states_what_motion_shows_and_drifts_less() -> None:

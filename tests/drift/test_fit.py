@@ -16,7 +16,6 @@ from undrift.drift.fit import (
     table_nodes,
 )
 from undrift.errors import InputError, NotObservable
-from undrift.export.constants import pair_at
 from undrift.record import Session
 from undrift.sim.device.presets import preset
 from undrift.sim.device.truth import true_calibration
@@ -213,14 +212,6 @@ def test_without_a_calibration_physical_units_keep_their_scale():
     assert low - 0.5 <= result.calibration.reference_temp_c <= high + 0.5
     with pytest.raises(NotObservable, match="no known scale"):
         fit_drift([session])
-
-
-def test_tables_without_a_calibration_can_be_exported(session):
-    rate = session.records[0].gyro * np.degrees(np.diag(CALIBRATION.gyro.matrix))
-    alone = with_record(session, gyro=rate, gyro_unit="dps", accel=None)
-    result = fit_drift([alone], settings=DriftSettings(tables="scale")).calibration
-    assert result.reference_temp_c == pytest.approx(25.0)
-    assert np.isfinite(pair_at(result).gyro.matrix).all()  # at the reference temperature
 
 
 def test_nodes_reach_the_ends_of_the_notes_range():

@@ -29,11 +29,6 @@ def blocks(temp_c, gyro, *, session=0, **columns):
     return rest_blocks(temp_c, gyro, session=whole, pose=whole, **columns)
 
 
-def joined(*parts):
-    names = [name for name in RestBlocks.__dataclass_fields__ if getattr(parts[0], name) is not None]
-    return RestBlocks(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
-
-
 def line(temp_c, rng, noise=1e-3):
     return 0.01 * (np.asarray(temp_c)[:, None] - 25.0) * [1.0, -2.0, 0.5] + noise * rng.normal(size=(len(temp_c), 3))
 
@@ -112,7 +107,9 @@ def test_blocks_that_tell_nothing_are_refused():
 def test_two_plateaus_show_no_scatter_between_switch_ons():
     rng = np.random.default_rng(5)
     cold, hot = 13.0 + 0.3 * rng.normal(size=40), 48.0 + 0.3 * rng.normal(size=40)
-    fit = fit_static(joined(blocks(cold, line(cold, rng)), blocks(hot, line(hot, rng), session=1)), nodes=NODES)
+    fit = fit_static(
+        RestBlocks.joined([blocks(cold, line(cold, rng)), blocks(hot, line(hot, rng), session=1)]), nodes=NODES
+    )
     assert fit.gyro.turn_on is None
     assert np.isfinite(fit.table.gyro_uncertainty).all()
     assert [item.code for item in fit.verdict.findings].count("drift.hysteresis_unknown") == 1
@@ -124,7 +121,7 @@ def test_two_sessions_that_agree_state_a_bound():
     temp = np.linspace(20.0, 60.0, 120)
     same = line(temp, rng)
     swap = np.where(np.arange(120)[:, None] % 2 == 0, 1e-3, -1e-3)  # the means agree better than the noise lets them
-    fit = fit_static(joined(blocks(temp, same + swap), blocks(temp, same - swap, session=1)), nodes=NODES)
+    fit = fit_static(RestBlocks.joined([blocks(temp, same + swap), blocks(temp, same - swap, session=1)]), nodes=NODES)
     turn_on = fit.gyro.turn_on
     known = 1e-3 / 240.0**0.5  # of half the difference of two means of 120 blocks, white noise alone
     assert (np.sqrt(turn_on.variance) > known).all()

@@ -1,7 +1,10 @@
 """Rate steps at several soaks: measured with a device on a table in a chamber, and computed directly."""
 
+from dataclasses import replace
+
 import numpy as np
 
+from testkit.rest_blocks import rest_blocks
 from undrift.drift.observe import RateSteps, RestBlocks
 from undrift.sim.device.effects import SensorChain
 from undrift.sim.device.model import DeviceModel
@@ -34,18 +37,9 @@ def soaked(
         gyro=np.array([s[3] for s in steps]),
         gyro_variance=np.array([s[5] for s in steps]),
     )
-    return result, RestBlocks(
-        session=np.zeros(m, int),
-        pose=np.array([r[1] for r in rests]),
-        time=np.arange(m, dtype=float),
-        power_on_s=np.full(m, 7200.0),
-        ramp_c_per_min=np.zeros(m),
-        temp_c=np.array([r[2] for r in rests]),
-        gyro=np.array([r[3] for r in rests]),
-        accel=np.array([r[4] for r in rests]),
-        gyro_variance=np.array([r[5] for r in rests]),
-        accel_variance=np.full((m, 3), 1e-4),
-    )
+    _, pose, temp_c, gyro, accel, variance = (np.array(column) for column in zip(*rests, strict=True))
+    blocks = rest_blocks(temp_c, gyro, accel=accel, noise=1e-2, time=np.arange(m, dtype=float), pose=pose)
+    return result, replace(blocks, power_on_s=np.full(m, 7200.0), gyro_variance=variance)
 
 
 def _mean(record, start: int, stop: int, block: int = 25):

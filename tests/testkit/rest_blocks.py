@@ -20,5 +20,7 @@ def rest_blocks(temp_c, gyro, *, accel=None, noise=1e-3, time=None, **columns):
         "accel": np.full((n, 3), np.nan) if accel is None else accel,
         "gyro_variance": np.full((n, 3), noise**2),
         "accel_variance": np.full((n, 3), noise**2),
+        "gyro_step_error": np.zeros((n, 3)),
+        "accel_step_error": np.zeros((n, 3)),
     }
     return RestBlocks(**plain | columns)

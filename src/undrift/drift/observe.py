@@ -86,8 +86,8 @@ class RestBlocks(StretchMeans):
     ramp_c_per_min: FloatArray  # (n,), slope of the temperature, degC/min: above 0 while warming
     accel_variance: FloatArray  # (n, 3), likewise
     # (n, 3), standard deviation of the mean from the converter's steps, raw unit (constant while the input is constant)
-    gyro_step_error: FloatArray | None = None
-    accel_step_error: FloatArray | None = None  # (n, 3), likewise
+    gyro_step_error: FloatArray
+    accel_step_error: FloatArray  # (n, 3), likewise
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -336,6 +336,8 @@ def observe_means(record: Record, rate_b: FloatArray, temp_c: FloatArray) -> tup
         pose=2 * axis + (up[np.arange(len(record)), axis] < 0.0),
         ramp_c_per_min=np.zeros(len(record)),
         accel_variance=unknown,
+        gyro_step_error=np.zeros_like(unknown),
+        accel_step_error=np.zeros_like(unknown),
     )
     soak = np.zeros(len(record), np.int64)
     soak[rows] = _soaks(temp_c[rows])

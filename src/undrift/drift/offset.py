@@ -208,7 +208,7 @@ def gyro_offsets(blocks: RestBlocks, calibration: Calibration | None) -> Offsets
         blocks=blocks,
         value=blocks.gyro - felt_by_gyro(blocks, calibration),
         variance=known_variance(blocks.gyro_variance),
-        step_error=np.zeros_like(blocks.gyro) if blocks.gyro_step_error is None else blocks.gyro_step_error,
+        step_error=blocks.gyro_step_error,
         common_variance=common,
         flicker=_flicker_variance(model, GYRO_FLICKER),
     )
@@ -223,7 +223,7 @@ def accel_offsets(blocks: RestBlocks, model: TriadModel) -> Offsets:
         blocks=blocks,
         value=np.array(blocks.accel),
         variance=known_variance(blocks.accel_variance),
-        step_error=np.zeros_like(blocks.accel) if blocks.accel_step_error is None else blocks.accel_step_error,
+        step_error=blocks.accel_step_error,
         common_variance=np.zeros(3),
         flicker=_flicker_variance(model, ACCEL_FLICKER),
     )
@@ -413,12 +413,7 @@ def cells_of(offsets: Offsets, regressors: FloatArray, direction: FloatArray, *,
         session=blocks.session[first],
         temp_c=np.array([blocks.temp_c[rows].mean() for rows in members]),
         value=np.array([offsets.value[rows].mean(axis=0) for rows in members]),
-        variance=np.array(
-            [
-                variance_of_mean(offsets.value[rows], offsets.variance[rows], offsets.step_error[rows])
-                for rows in members
-            ]
-        ),
+        variance=np.array([variance_of_mean(offsets.variance[rows], offsets.step_error[rows]) for rows in members]),
         regressors=np.array([regressors[rows].mean(axis=0) for rows in members]),
         ramp_c_per_s=np.array([(soaked * blocks.ramp_c_per_min)[rows].mean() for rows in members]) / 60.0,
         correlation=OWN * (rest[first][:, None] == rest[first]) + (1.0 - OWN) * flicker / np.diag(flicker).mean(),
@@ -475,10 +470,9 @@ def at_soaks(blocks: RestBlocks, used: IntArray) -> BoolArray:
     return soaked
 
 
-def variance_of_mean(value: FloatArray, variance: FloatArray, step_error: FloatArray | None) -> FloatArray:
+def variance_of_mean(variance: FloatArray, step_error: FloatArray) -> FloatArray:
     """Return the variance of a mean over blocks (n, 3), from their noise and common rounding errors of the converter, (3,)."""
-    noise: FloatArray = variance.mean(axis=0) / len(value)
-    return noise if step_error is None else np.asarray(noise + (step_error**2).mean(axis=0))
+    return np.asarray(variance.mean(axis=0) / len(variance) + (step_error**2).mean(axis=0))
 
 
 def flicker_correlation(blocks: RestBlocks, members: list[IntArray]) -> FloatArray:
