@@ -11,7 +11,7 @@ from testkit import twins
 from testkit.data import show
 from undrift.errors import InputError
 from undrift.frames import integrate_strapdown, quaternion_conjugate, quaternion_product
-from undrift.kernels.calibrate import lead
+from undrift.kernels.correct import lead
 from undrift.kernels.rotation import accumulate, carried_means
 
 COMPILED = os.environ.get("NUMBA_DISABLE_JIT", "0") in ("", "0")

@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 from undrift.arrays import runs
 from undrift.calibration.moves import Moves, gravity_directions, rough_matrix
 from undrift.fit.triad import TriadFit, triad_fit
-from undrift.kernels.calibrate import rotations_between
+from undrift.kernels.rotation import rotations_between
 from undrift.record import Record, Still
 from undrift.segments import sphere_of
 

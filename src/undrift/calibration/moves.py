@@ -356,7 +356,7 @@ def _rows(problem: _Problem, theta: FloatArray) -> _Rows:
     """Return the rows of rests and moves, linear about parameters."""
     from scipy.linalg import block_diag
 
-    from undrift.kernels.calibrate import rotations_between
+    from undrift.kernels.rotation import rotations_between
 
     moves, n, size, rests = problem.moves, problem.directions[0], problem.size, len(problem.reading)
     matrix, offset, slope = theta[:9].reshape(3, 3), theta[9:12], theta[12:].reshape(3, 3)

@@ -241,7 +241,7 @@ def without_lag(
     temp_c: FloatArray, time: FloatArray, *, lag_s: float, smooth_s: float, state: tuple[float, ...] = NO_READING
 ) -> tuple[FloatArray, tuple[float, ...]]:
     """Subtract the thermometer's lag with a causal filter, for temperatures (N,), degC, at times (N,), s."""
-    from undrift.kernels.calibrate import lead
+    from undrift.kernels.correct import lead
 
     x, t = (np.ascontiguousarray(v, dtype=np.float64) for v in (temp_c, time))
     y, next_state = np.empty_like(x), np.array(state)

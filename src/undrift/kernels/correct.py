@@ -263,3 +263,30 @@ def follow_turning(
             last_turning = t if m0 * m0 + m1 * m1 + m2 * m2 > above * above else last_turning
         out[k] = 1.0 if t - last_turning <= hold_s else 0.0
     state[0], state[1], state[2], state[3], state[4] = m0, m1, m2, last, last_turning
+
+
+# ---- a thermometer's time constant taken off by a causal lead, sample by sample over uneven steps. temp and out (N,) degC in
+# different memory, time (N,) s, lag and smooth in s; state (4,) contains time and value of the last reading, the low-passed value
+# and the last output, NaN before the first reading (updated in place)
+
+
+@compiled
+def lead(temp: FloatArray, time: FloatArray, out: FloatArray, lag: float, smooth: float, state: FloatArray) -> None:
+    # (lag s + 1) / (smooth s + 1), exact for readings that are linear between samples: z' = (x - z) / smooth,
+    # y = z + lag z'. With m = (1 - e^-a) / a over a step a = dt / smooth: z = e^-a z_before + (m - e^-a) x_before + (1 - m) x.
+    # A NaN repeats the output and keeps the state, and the next reading bridges the gap.
+    gain = lag / smooth
+    last, x, z, y = state[0], state[1], state[2], state[3]
+    for k in range(np.uint64(temp.size)):
+        if not math.isnan(temp[k]):
+            if math.isnan(x):
+                z = temp[k]  # the thermometer had settled at the first reading
+            else:
+                a = (time[k] - last) / smooth
+                keep = math.exp(-a)
+                mean = -math.expm1(-a) / a
+                z = keep * z + (mean - keep) * x + (1.0 - mean) * temp[k]
+            last, x = time[k], temp[k]
+            y = z + gain * (x - z)
+        out[k] = y
+    state[0], state[1], state[2], state[3] = last, x, z, y
