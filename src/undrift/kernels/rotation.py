@@ -192,10 +192,6 @@ def carried_means(
                 out[width * w + e] += share * values[e]
 
 
-if not COMPILED:
-    from undrift.kernels.plain import carried_means, strapdown  # noqa: F401 (in place of those above)
-
-
 # ---- rotation between stills
 
 
@@ -237,3 +233,7 @@ def rotations_between(
             r = t
         for e in range(9):
             rotation[9 * j + e] = r[e]
+
+
+if not COMPILED:
+    from undrift.kernels.plain import carried_means, strapdown  # noqa: F401 (in place of those above)
