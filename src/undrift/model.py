@@ -151,10 +151,15 @@ class TriadModel:
 
         It is M C M', where C is the covariance of the offset.
         """
-        indices = [k for k, name in enumerate(OFFSET_NAMES) if name in self.parameters]
-        rows = [self.parameters.index(OFFSET_NAMES[k]) for k in indices]
-        columns = self.matrix[:, indices]
-        return np.asarray(columns @ self.covariance[np.ix_(rows, rows)] @ columns.T)
+        return np.asarray(self.matrix @ self.covariance_of(OFFSET_NAMES) @ self.matrix.T)
+
+    def covariance_of(self, names: tuple[str, ...]) -> FloatArray:
+        """Return the covariance of some parameters, shape (n, n), with 0 for a parameter that was not fitted."""
+        fitted = [k for k, name in enumerate(names) if name in self.parameters]
+        rows = [self.parameters.index(names[k]) for k in fitted]
+        covariance = np.zeros((len(names), len(names)))
+        covariance[np.ix_(fitted, fitted)] = self.covariance[np.ix_(rows, rows)]
+        return covariance
 
     @property
     def forward_matrix(self) -> FloatArray:

@@ -14,7 +14,6 @@ from undrift.io.formats import read_counted, read_record
 from undrift.io.inspect import describe
 from undrift.io.libraries import table_of_arrays
 from undrift.io.mocap import read_c3d, read_trc
-from undrift.io.session import read_session
 
 
 def read_npz(path, columns):
@@ -169,27 +168,6 @@ def test_first_codes_of_a_session_are_the_published_ones():
         sample_rate_hz=102.4,
     )
     assert codes.accel[0].tolist() == [-2052, -28, -73]
-
-
-@pytest.mark.slow
-def test_xsens_session_joins_its_two_files(tmp_path):
-    for name in ("xsens_acc.txt.gz", "xsens_gyro.txt.gz"):
-        (tmp_path / name).symlink_to(data_path("multipos_xsens", name))
-    (tmp_path / "session.toml").write_text(
-        '[session]\nkind = "calibration"\nserial = "MTi"\nlatitude_deg = 45.4\nheight_m = 12.0\n'
-        '[[recording]]\nfile = ["xsens_acc.txt.gz", "xsens_gyro.txt.gz"]\ndelimiter = " "\nheader = false\n'
-        "columns = [{ time = 0, accel = [1, 2, 3] }, { time = 0, gyro = [1, 2, 3] }]\n"
-        'units = { time = "s", accel = "count", gyro = "count" }\n'
-    )
-    (record,) = read_session(tmp_path).records
-    show("rows, duration s, rate Hz", (len(record), record.duration_s, record.sample_rate_hz), (51175, 511.7, 100))
-    assert len(record) == 51175
-    assert record.duration_s == approx(511.7, abs=0.05)
-    assert record.sample_rate_hz == approx(100.0, abs=0.05)
-    assert record.accel[0].tolist() == [33108, 33329, 36429]
-    assert record.gyro[0].tolist() == [32786, 32429, 32499]
-    still = record.between(5.0, 45.0)  # about 4,018 counts per g, zero near 32,768
-    assert np.linalg.norm(still.accel.mean(axis=0) - 32768) == approx(4018, rel=0.15)
 
 
 @pytest.mark.slow

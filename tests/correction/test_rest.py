@@ -14,10 +14,6 @@ from undrift.errors import InputError
 from undrift.model import Calibration
 from undrift.orientation import OrientSettings, orient
 from undrift.record import Record, Still, joined
-from undrift.sim.device.presets import random_device
-from undrift.sim.device.truth import true_calibration
-from undrift.sim.sessions import simulate_trial
-from undrift.validation.trial import TrialSettings, validate_trial
 
 FS = 100.0
 LEFT = np.array([0.02, -0.01, 0.005])  # rad/s
@@ -97,23 +93,6 @@ def test_stream_finds_the_rest_of_the_whole_record(length, monkeypatch):
     stream = Corrector(CALIBRATION, offset=rest)
     gyro = np.concatenate([stream.push(part).gyro for part in parts])
     np.testing.assert_array_equal(gyro, whole.record.gyro)
-
-
-def test_correct_orient_and_validate_subtract_the_same_rest():
-    rng = np.random.default_rng(5)
-    device = random_device(rng)
-    trial = simulate_trial("sit_to_stand", device, rng=rng)
-    calibration = true_calibration(device)
-    done = correct_checked(trial.record, calibration, offset="rest")
-    judged = validate_trial(
-        trial.record, trial.reference, calibration=calibration, settings=TrialSettings(offset="rest")
-    )
-    oriented = orient(correct(trial.record, calibration), settings=OrientSettings(offset="rest"))
-    time = np.asarray(trial.record.time)
-    assert done.rest.rest_s == judged.rest.rest_s
-    assert done.rest.rest_s == (time[oriented.still.start], time[oriented.still.stop - 1])
-    np.testing.assert_allclose(judged.rest.rate, done.rest.rate, rtol=0.0, atol=1e-12)
-    np.testing.assert_allclose(oriented.offset, done.rest.mean, rtol=0.0, atol=1e-12)
 
 
 def test_padded_rows_are_no_rest_on_any_route():

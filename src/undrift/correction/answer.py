@@ -32,7 +32,7 @@ from undrift.correction.motion import CALIBRATED_RATE
 from undrift.correction.plan import force_uncertainty
 from undrift.correction.rest import UNKNOWN_K, UNKNOWN_YEARS, calibrated_force_covariances, moved_by
 from undrift.fit.priors import G_SENSITIVITY, GYRO_CROSS_AXIS, GYRO_FLICKER, GYRO_NOISE
-from undrift.model import AXES, Calibration, TriadModel
+from undrift.model import AXES, G_NAMES, MATRIX_NAMES, Calibration, TriadModel
 from undrift.record import TemperatureSensitivity
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -120,7 +120,8 @@ _POSTURES = [  # axis of the pitch and number of the posture, with the axes that
 def _rotation_variance(calibration: Calibration, gyro: TriadModel, away_k: float) -> FloatArray:
     """Return the variance of the pitch by the rotations of the task, about each axis, (3,), rad^2."""
     inverse = gyro.forward_matrix
-    error = np.stack([np.einsum("cq,cd,dq->q", inverse, _row_covariance(gyro, "m", axis), inverse) for axis in AXES])
+    rows = [gyro.covariance_of(MATRIX_NAMES[3 * axis : 3 * axis + 3]) for axis in range(3)]
+    error = np.einsum("cq,acd,dq->aq", inverse, np.array(rows), inverse)
     angle = np.where(np.eye(3, dtype=bool), LEAN, TURN)
     has_table = calibration.drift is not None and calibration.drift.scale is not None
     by_temperature = 0.0 if has_table else 0.01 * _per_k(calibration, "gyro_scale_percent_per_k") * away_k
@@ -135,7 +136,7 @@ def _rate_variance(calibration: Calibration, gyro: TriadModel, *, rested: bool, 
     by_force = np.empty((3, 2))
     for p, k, up, forward in _POSTURES:
         fitted = gyro.g_sensitivity is not None
-        sensitivity = _row_covariance(gyro, "g", AXES[p]) if fitted else G_SENSITIVITY**2 * np.eye(3)
+        sensitivity = gyro.covariance_of(G_NAMES[3 * p : 3 * p + 3]) if fitted else G_SENSITIVITY**2 * np.eye(3)
         by_force[p, k] = upward_change**2 * sensitivity[up, up] + forward_change**2 * sensitivity[forward, forward]
     triad, codes = calibration.triad("gyro"), np.zeros(3)
     if triad.lsb is not None and triad.rounding == "toward_zero" and gyro.code_offset is None:
@@ -159,15 +160,6 @@ def _rest_code_variance(calibration: Calibration, gyro: TriadModel) -> FloatArra
     share = gyro.budget.uncertainty[gyro.budget.sources.index("adc")]
     of_offset = np.array([share[gyro.parameters.index(f"offset_{axis}")] for axis in AXES])
     return np.asarray(int(rests) * (of_offset * gyro.si_per_reading("rate")) ** 2)
-
-
-def _row_covariance(model: TriadModel, kind: str, axis: str) -> FloatArray:
-    """Return the covariance of a row of a matrix of parameters, (3, 3), 0 for a matrix that is not fitted."""
-    names = [f"{kind}_{axis}{column}" for column in AXES]
-    if not set(names) <= set(model.parameters):
-        return np.zeros((3, 3))
-    places = [model.parameters.index(name) for name in names]
-    return np.asarray(model.covariance[np.ix_(places, places)])
 
 
 def _per_k(calibration: Calibration, name: str) -> float:

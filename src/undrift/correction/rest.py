@@ -108,8 +108,7 @@ def moved_by(model: TriadModel | None) -> float:
     """Return the standard uncertainty of the offset's change from rest to motion, all axes together, rad/s: fitted, or assumed."""
     if model is None or model.moving_offset is None:
         return math.sqrt(3.0) * MOVED
-    place = model.parameters.index(MOVING_NAMES[0])
-    variance = float(np.trace(model.covariance[place : place + 3, place : place + 3]))
+    variance = float(np.trace(model.covariance_of(MOVING_NAMES)))
     return math.sqrt(variance * si_factor(model.unit_out, "rate") ** 2 + 3.0 * MOVED_AGAIN**2)
 
 

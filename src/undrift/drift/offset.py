@@ -200,9 +200,9 @@ def gyro_offsets(blocks: RestBlocks, calibration: Calibration | None) -> Offsets
         return None
     model, force = None if calibration is None else calibration.gyro, specific_force(blocks, calibration)
     common = np.zeros(3)
-    if model is not None and model.g_sensitivity is not None and force is not None and G_NAMES[0] in model.parameters:
-        start, k, mean = model.parameters.index(G_NAMES[0]), model.forward_matrix, force.mean(axis=0)
-        g_covariance = model.covariance[start : start + len(G_NAMES), start : start + len(G_NAMES)].reshape(3, 3, 3, 3)
+    if model is not None and model.g_sensitivity is not None and force is not None:
+        k, mean = model.forward_matrix, force.mean(axis=0)
+        g_covariance = model.covariance_of(G_NAMES).reshape(3, 3, 3, 3)
         common = np.einsum("ka,kb,i,j,aibj->k", k, k, mean, mean, g_covariance)  # at the mean specific force
     return Offsets(
         blocks=blocks,
