@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from benchmarks.from_motion import pitch_errors, steps
+from benchmarks.from_motion import steps
 
 from testkit.data import data_path, show
 
@@ -23,13 +23,3 @@ def test_each_step_reduces_the_end_error():
     assert alone[1] < result["motion of the others, rest"][1]
     for value in result.values():
         assert value[3] < 0.6  # a filter's inclination is that of its accelerometers
-
-
-@pytest.mark.slow
-def test_rest_and_motion_leave_a_tenth_of_the_pitch_error():
-    none, rest, motion = np.sqrt(
-        np.mean([np.square(pitch_errors("posturography, 50 s", seed)) for seed in (1, 2, 3)], axis=0)
-    )
-    show("pitch error, rms, deg: none, rest, motion", [round(float(e), 4) for e in (none, rest, motion)])
-    assert rest < 0.1 * none
-    assert motion < 0.1 * none

@@ -12,7 +12,7 @@ from undrift.calibration.in_motion import fit_in_motion
 from undrift.calibration.noise import fit_noise
 from undrift.calibration.norm import QUADRATIC_SD, fit_norm
 from undrift.correction.motion import fit_motion
-from undrift.errors import Implausible, NotObservable
+from undrift.errors import Implausible
 from undrift.record import Record
 from undrift.segments import sphere_of
 from undrift.units import RADIAN_PER_DEGREE
@@ -51,14 +51,6 @@ def test_offset_from_motion_holds_the_encoder_or_keeps_its_prior(which: str, axe
         assert np.abs(offset[:, 2]).max() < 1e-3
         assert spread[:, 2].min() > 0.99 * result.prior[2] / RADIAN_PER_DEGREE
         assert only(result.findings, "correct.motion_offset_kept").values["axes"] == "z"
-
-
-@pytest.mark.parametrize("which", ["yaw", "roll"])
-def test_motion_about_one_axis_calibrates_nothing(which: str) -> None:
-    record, _ = encoder(which)
-    with pytest.raises(NotObservable, match="one axis") as caught:
-        calibrate_from_motion([record.part(0, 12_000)])
-    show(f"{which}: rates along and across the axis, deg/s rms", (caught.value.along_dps, caught.value.across_dps))
 
 
 NOMINAL = 0.0163  # rad/s a count of the analog gyroscopes

@@ -114,18 +114,6 @@ def test_range_is_that_of_the_temperature_without_lag():
     assert "0.5 s" in done.warnings[0]
 
 
-def test_a_chunk_that_is_refused_leaves_the_lag_where_it_was():
-    r, c = record(temp_c=np.linspace(40.0, 90.0, N)), device(drift=lagging(tables()))
-    corrector = Corrector(c)
-    corrector.push_checked(r.part(0, 80))
-    before = corrector.state
-    with pytest.raises(DriftRangeError):
-        corrector.push_checked(r.part(80, N))
-    assert corrector.state is before
-    again = corrector.push_checked(r.part(80, 90)).record.gyro
-    assert again.tobytes() == corrected(r.part(0, 90), c).gyro[80:].tobytes()
-
-
 # ---- the change of the offset while the device turns, and the loss by codes
 
 

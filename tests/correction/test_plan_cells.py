@@ -5,10 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from testkit import twins
 from testkit.full_calibration import GAP, STEPS, WILD
-from undrift.correction.plan import LookupTable, TableAxis, line_cells
-from undrift.kernels.correct import add_half_step, cell, without_line
+from undrift.correction.plan import TableAxis
+from undrift.kernels.correct import cell
 
 
 def evened(nodes):
@@ -44,19 +43,3 @@ def test_cell_and_fraction_are_found_to_both_ends(nodes):
         assert i + f == pytest.approx(np.interp(x, nodes, values), abs=1e-9)
         assert 0 <= i < len(nodes) - 1
         assert 0.0 <= f <= 1.0
-
-
-@pytest.mark.parametrize("half_step", [0.0, 0.5])
-def test_warm_up_is_subtracted_from_the_unrounded_reading(half_step):
-    rng = np.random.default_rng(1)
-    x = np.round(rng.normal(size=(200, 3)) * 3.0)
-    since, h = np.linspace(0.0, 40.0, 200), np.full(3, half_step)
-    nodes, values = np.array([0.0, 2.0, 7.0, 30.0]), np.vstack((rng.normal(size=(3, 3)) * 20.0, np.zeros(3)))
-    out = np.empty(600)
-    add_half_step(x.ravel(), out, h)
-    without_line(out, since, out, *line_cells(LookupTable(temp=TableAxis(nodes=nodes), values=values)))
-    wanted = twins.rounded(x, 2.0 * h, "toward_zero") - twins.table(nodes, values, since)
-    np.testing.assert_allclose(out.reshape(-1, 3), wanted, rtol=0, atol=1e-13)
-    np.testing.assert_array_equal(
-        out.reshape(-1, 3)[since >= 30.0], twins.rounded(x, 2.0 * h, "toward_zero")[since >= 30.0]
-    )

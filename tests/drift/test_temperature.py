@@ -14,7 +14,6 @@ from testkit.column_maps import column_map
 from testkit.data import data_path, show
 from testkit.rest_blocks import rest_blocks
 from undrift.drift.temperature import (
-    NO_READING,
     Temperature,
     check_span,
     default_smooth_s,
@@ -203,18 +202,6 @@ def test_ramp_is_followed_with_the_small_lag():
     assert temp[-1] - said[-1] == pytest.approx(0.05 * TAU, rel=1e-6)
     # the reading bends between samples: (dt / tau)^2
     assert temp[-1] - result[-1] == pytest.approx(0.05 * 5.0, rel=1e-4)
-
-
-def test_chunks_give_the_bits_of_the_batch():
-    time, temp = ramp()
-    temp[[7, 8, 500]] = np.nan
-    whole, last = without_lag(temp, time, lag_s=TAU, smooth_s=4.0)
-    state, parts = NO_READING, []
-    for part in np.split(np.arange(len(time)), [1, 8, 9, 500, 501, 1300]):
-        done, state = without_lag(temp[part], time[part], lag_s=TAU, smooth_s=4.0, state=state)
-        parts.append(done)
-    np.testing.assert_array_equal(np.concatenate(parts), whole)
-    assert state == last
 
 
 def test_a_gap_holds_and_the_next_reading_bridges_it():
