@@ -13,12 +13,10 @@ from scipy.stats import pearsonr
 
 from undrift.arrays import FloatArray
 from undrift.sim.device.presets import random_device
-from undrift.study.figure3 import COMPARED, Figure3, compare_devices, figure3
+from undrift.study.figure3 import COMPARED, Figure3, figure3
 from undrift.study.plan import DEVICE
 from undrift.validation.agreement import mean_interval
 from undrift.validation.levels import NOTE_DIFFERENCE_DEG
-
-EXCURSION_K = 12.5
 
 
 def typical_row(result: Figure3, k: int) -> str:
@@ -50,9 +48,8 @@ def drawn_errors(number: int, seed: int) -> FloatArray:
     """Return one drawn unit, (4, 5), for each of ``COMPARED``: largest pitch error simulated and actual and their largest
     difference, deg, and their correlation.
     """
-    device, person, *noise = (np.random.default_rng([seed, 3, number, part]) for part in range(6))
-    unit = random_device(device, grade=DEVICE)
-    result = compare_devices(unit, person, noise[2:], noise[:2], excursion_k=EXCURSION_K)
+    unit = random_device(np.random.default_rng([seed, 3, number]), grade=DEVICE)
+    result = figure3(unit, seed=1000 * (seed + 1) + number)
     largest = (result.simulated_max_deg, result.actual_max_deg, result.simulated_actual_max_deg)
     return np.array((*largest, result.correlation))
 

@@ -64,7 +64,7 @@ def simulated(seed: int = 1, people: int = 5) -> LevelTable:
         for task in TASKS:
             rng = np.random.default_rng([9, person, len(task)])
             performed = draw_task(task, rng=rng)
-            record = worn_record(device, performed, excursion_k=EXCURSION_K, rng=rng)
+            record = worn_record(device, performed, rng=rng)
             pairs.append((record, see(performed, rng=rng, settings=OPTICS)))
             tasks.append(task)
             whose.append(f"p{person}")

@@ -26,7 +26,7 @@ def draw(folder: Path) -> None:
     soaks = ThermalSettings(set_points_c=(18.0, 25.0, 32.0, 40.0, 32.0, 25.0, 18.0))
     fit = undrift.fit_drift([undrift.simulate_thermal_session("soak", device, rng=rng, settings=soaks)], calibration)
     task = draw_task("sit_to_stand", rng=rng)
-    record = worn_record(device, task, excursion_k=12.5, rng=rng)
+    record = worn_record(device, task, rng=rng)
     sheet = {name: getattr(preset("mpu6050"), name).scale.nominal_sensitivity for name in ("gyro", "accel")}
     raw = undrift.Record(time=record.time, gyro=record.gyro / sheet["gyro"], accel=record.accel / sheet["accel"])
     corrected = undrift.correct(record, fit.calibration)

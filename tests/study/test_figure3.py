@@ -58,7 +58,7 @@ def test_tables_from_the_way_up_bring_the_actual_device_within_the_notes_differe
 
 def test_the_model_and_the_actual_device_differ_by_the_named_effects() -> None:
     unit = preset("enc03j_3031")
-    bare, whole = actual_device(unit, ()), actual_device(unit)
+    bare, whole = actual_device(unit, hidden=False), actual_device(unit)
     assert (bare.gyro.hysteresis, bare.gyro.g_sensitivity, bare.thermometer.lag_s) == (None, None, 0.0)
     assert bare.gyro.offset is unit.gyro.offset
     assert whole.gyro.hysteresis is unit.gyro.hysteresis

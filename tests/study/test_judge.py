@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from testkit.data import show
+from undrift.errors import InputError
 from undrift.study.judge import adjust_holm, errors_of, judge, judge_parameters, repeated_measures_anova, with_test
 from undrift.study.plan import NoteNumbers, Study, StudyTask
 from undrift.study.run import Run
@@ -32,6 +33,12 @@ def test_f_is_the_one_of_statsmodels():
     long = pd.DataFrame({"y": y.ravel(), "s": np.repeat(np.arange(9), 5), "c": list("abcde") * 9})
     theirs = AnovaRM(long, "y", "s", within=["c"]).fit().anova_table
     assert repeated_measures_anova(y).f == pytest.approx(float(theirs["F Value"].iloc[0]), rel=1e-10)
+
+
+def test_exact_differences_and_two_subjects_are_refused():
+    for table in (np.ones((2, 3)), np.arange(4.0)[:, None] + np.arange(3.0)):
+        with pytest.raises(InputError):
+            repeated_measures_anova(table)
 
 
 def test_holm_by_hand():

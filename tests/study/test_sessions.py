@@ -65,7 +65,8 @@ def test_free_motion_stays_within_the_range_of_the_device():
 def test_a_session_states_its_minutes_instruments_and_commands():
     minutes = [SESSIONS[name].length_min for name in ("hand", "three rates", "note rates", "two set-points", "note")]
     assert minutes == sorted(minutes)
-    assert [SESSIONS[name].instruments for name in ("hand", "note")] == ["none", "rate table, chamber"]
+    needs = {name: session.instruments for name, session in SESSIONS.items()}
+    assert (needs["hand"], needs["hand, warm"], needs["note"]) == ("none", "the wearer's warmth", "rate table, chamber")
     commands = SESSIONS["note"].commands("mine")
     assert [words.split()[1] for words in commands] == ["rig", "calibrate", "drift"]
     assert "--from motion" in SESSIONS["motion"].commands("mine")[0]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from benchmarks.broad import nominal_calibration
 
 from testkit.data import show
 from testkit.hand_turns import Device, make_recording
@@ -81,6 +82,11 @@ DEVICE = Device(forward=FORWARD, offset=np.array([0.004, -0.003, 0.002]), lag_s=
 @pytest.fixture(scope="module")
 def pairs():
     return [make_recording(np.random.default_rng(seed), DEVICE, turn_s=40.0, optics_noise=5e-4) for seed in (1, 2, 3)]
+
+
+def test_each_recording_may_bring_its_calibration(pairs):
+    same = validate_trials(pairs, calibrations=[nominal_calibration(record) for record, _ in pairs])
+    assert same.mean.rmse_total_deg == pytest.approx(validate_trials(pairs).mean.rmse_total_deg)
 
 
 @pytest.mark.slow

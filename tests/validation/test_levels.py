@@ -29,7 +29,6 @@ from undrift.validation.trial import TrialSettings, validate_trial
 
 pytestmark = pytest.mark.usefixtures("computed_once")
 NODES_C, RATES = np.linspace(10.0, 50.0, 9), np.radians(np.linspace(-300.0, 300.0, 61))
-WARM_K = 12.5
 # In physical units, so that readings can be judged as they come; its offset moves by 0.4 deg/s in the 12.5 K of a wearer
 DEVICE = DeviceModel(
     serial="A",
@@ -45,7 +44,7 @@ DEVICE = DeviceModel(
 )
 FULL = replace(true_calibration(DEVICE), drift=true_tables(DEVICE, NODES_C, RATES))
 # a thermometer that errs would shift the tables, which are the truth
-NOTE_DEVICE = replace(actual_device(preset("enc03j_3031"), ("g_sensitivity",)), thermometer=Thermometer())
+NOTE_DEVICE = replace(actual_device(preset("enc03j_3031"), hidden=False), thermometer=Thermometer())
 NOTE_FULL = replace(true_calibration(NOTE_DEVICE), drift=true_tables(NOTE_DEVICE, NODES_C, RATES))
 
 
@@ -53,7 +52,7 @@ def worn(person, task="sit_to_stand", device=DEVICE):
     """A person's trial, warmed by the person."""
     rng = np.random.default_rng([18, person, len(task)])
     performed = draw_task(task, rng=rng)
-    return worn_record(device, performed, excursion_k=WARM_K, rng=rng), see(performed, rng=rng, settings=OPTICS)
+    return worn_record(device, performed, rng=rng), see(performed, rng=rng, settings=OPTICS)
 
 
 def trial(person, task="sit_to_stand", calibration=FULL, device=DEVICE, **more):

@@ -28,8 +28,8 @@ from undrift.report.study import NOTE, SLOPE_OF_THE_NOTE
 from undrift.screen import part, progress
 from undrift.sim.device.model import DeviceModel
 from undrift.study.figure3 import judge_compared
+from undrift.study.sessions import WARM_C
 from undrift.study.virtual_bench import (
-    EXCURSION_K,
     SOAK,
     BenchFit,
     BenchRun,
@@ -153,7 +153,7 @@ def _levels(trials: tuple[Trial, ...]) -> Table:
     final_deg = np.nanmax(np.abs(trials[0].error.pitch)) / RADIAN_PER_DEGREE
     note = (
         "A wearable device is calibrated on a simulated rate table and in a simulated chamber. Then a simulated person "
-        f"wears it for half an hour, and it is {EXCURSION_K:g} K warmer than on the bench. During the motion, the tables "
+        f"wears it for half an hour, and it is {WARM_C:g} K warmer than on the bench. During the motion, the tables "
         f"remove {largest[0] - largest[2]:.2f} deg of the largest pitch error (the note, Figure 3: more than 3.2). Without "
         f"tables, but with the offset of the rest before the motion, {largest[3]:.2f} deg are left, from scale and dynamic "
         "drift. After the motion the person stays upright. These figures do not include that time. With a constant "

@@ -12,8 +12,10 @@ from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.bench import BenchKind, BenchSettings, bench_motion
 from undrift.sim.motion.motion import Motion
 from undrift.sim.motion.poses import OpticsSettings, see
-from undrift.sim.motion.tasks import Subject, TaskName, draw_task
+from undrift.sim.motion.tasks import TaskName, draw_task
 from undrift.units import STANDARD_GRAVITY
+
+SAMPLE_RATE_HZ = 100.0  # of a trial
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -86,11 +88,9 @@ def simulate_trial(
     device: DeviceModel,
     *,
     rng: np.random.Generator,
-    sample_rate_hz: float = 100.0,
     gravity_m_s2: float = STANDARD_GRAVITY,
     optics: OpticsSettings | None = None,
     temp_c: float | tuple[float, float] | None = None,
-    subject: Subject | None = None,
 ) -> SimulatedTrial:
     """Return a test trial of a simulated device with its optical reference.
 
@@ -102,16 +102,12 @@ def simulate_trial(
         The sensors.
     rng : Generator
         Draws performance, noise and optics.
-    sample_rate_hz : float
-        Sample rate of the device.
     gravity_m_s2 : float
         Gravity, m/s2.
     optics : OpticsSettings, optional
         Rate and errors of the cameras.
     temp_c : float or (float, float), optional
         Board temperature, degC, as in ``simulate_session``.
-    subject : Subject, optional
-        Person of a ``cohort`` who performs the task. Default: a person of typical age and height.
 
     Returns
     -------
@@ -127,8 +123,8 @@ def simulate_trial(
     >>> len(trial.record), trial.record.sample_rate_hz
     (1545, 100.0)
     """
-    performed = draw_task(task, rng=rng, subject=subject)
-    time = np.arange(round(performed.duration_s * sample_rate_hz)) / sample_rate_hz
+    performed = draw_task(task, rng=rng)
+    time = np.arange(round(performed.duration_s * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
     motion = performed.at(time, gravity_m_s2)
     record = simulate_device(device, motion, rng=rng, temp_c=_temperature(temp_c, len(motion))).record
     return SimulatedTrial(record=record, reference=see(performed, rng=rng, settings=optics), motion=motion)

@@ -43,6 +43,7 @@ STEP_S = 1.0  # of a profile, s
 SECONDS_PER_MINUTE = 60.0
 SOAK_RATE_C_PER_MIN = 0.1  # a board is soaked while its temperature changes by less, degC/min
 MAX_WAIT_S = 4.0 * 3600.0  # for a soak, s
+POWER_ON_S = 3600.0  # age of the device at the start of a programme, s (a warm-up starts at power-on)
 # of a board that warms itself: a fit to a recorded MPU-6050, true to 0.03 K rms
 FAST_SHARE, FAST_S, SLOW_S = 0.52, 150.0, 549.0
 
@@ -172,11 +173,6 @@ class ThermalSettings:
     # temperatures of a board that warms itself, at power-on and in the end, degC
     warm_up_c: tuple[float, float] = (10.7, 29.1)
     warm_up_s: float = 2160.0  # duration of a warm-up, s
-    power_on_s: float = 3600.0  # age of the device at the start of the programme, s (a warm-up starts at power-on)
-
-    def __post_init__(self) -> None:
-        if self.power_on_s < 0.0:
-            raise InputError(f"thermal: power_on_s must be 0 or more, got {self.power_on_s:g} s. Correct the settings.")
 
 
 def ramp_profile(settings: ThermalSettings) -> Profile:
@@ -276,7 +272,7 @@ def simulate_thermal_session(
     """
     if kind not in get_args(ThermalKind):
         raise InputError(f"thermal: unknown kind '{kind}'. Use one of {', '.join(get_args(ThermalKind))}.")
-    power_on_s = 0.0 if kind == "warm_up" else settings.power_on_s
+    power_on_s = 0.0 if kind == "warm_up" else POWER_ON_S
     profile, legs = _programme(kind, settings, draw_streams(rng))
     scene = Scene(
         time=profile.time,

@@ -20,9 +20,8 @@ The model of the study is a unit without some effects, and the actual device is 
     g_sensitivity   rate reading under specific force                        as the kind of device has it
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 
@@ -43,7 +42,7 @@ from undrift.sim.sessions import simulate_session
 from undrift.sim.thermal import SET_POINTS_C, ThermalSettings, simulate_thermal_session
 from undrift.study.case import WORN_S, on_the_clock
 from undrift.study.recorded import SAMPLE_RATE_HZ
-from undrift.study.sessions import ROOM_TEMP_C, SETTLED_S
+from undrift.study.sessions import ROOM_TEMP_C, SETTLED_S, WARM_C
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation.align import LEAD_S
 from undrift.validation.levels import LEVEL_NAMES, LEVELS, judge_level
@@ -51,24 +50,21 @@ from undrift.validation.trial import TRIAL_SETTINGS, Trial
 
 # ---- the simulated and the actual device
 
-Hidden = Literal["hysteresis", "thermometer", "adc_inl", "g_sensitivity"]
-HIDDEN: tuple[Hidden, ...] = get_args(Hidden)
 INL_LSB = 2.0  # [assumed] what 12-bit converters of the note's time are specified to
 LEAST_LAG_S = 80.0  # LM335 in still air
 
 
-def actual_device(unit: DeviceModel, hidden: tuple[Hidden, ...] = HIDDEN) -> DeviceModel:
-    """Return a unit with some or all effects that the study's model lacks. Without them, it is the study's model."""
-    bow = np.full(3, INL_LSB if "adc_inl" in hidden else 0.0)
+def actual_device(unit: DeviceModel, *, hidden: bool = True) -> DeviceModel:
+    """Return a unit with the effects that the study's model lacks, or without them: then it is the study's model."""
     chains: dict[str, Any] = {}
     for name, chain in (("gyro", unit.gyro), ("accel", unit.accel)):
         chains[name] = replace(
             chain,
-            hysteresis=chain.hysteresis if "hysteresis" in hidden else None,
-            g_sensitivity=chain.g_sensitivity if name == "gyro" and "g_sensitivity" in hidden else None,
-            adc=chain.adc and replace(chain.adc, inl_lsb=bow),
+            hysteresis=chain.hysteresis if hidden else None,
+            g_sensitivity=chain.g_sensitivity if hidden else None,
+            adc=chain.adc and replace(chain.adc, inl_lsb=np.full(3, INL_LSB if hidden else 0.0)),
         )
-    lag_s = max(unit.thermometer.lag_s, LEAST_LAG_S) if "thermometer" in hidden else 0.0
+    lag_s = max(unit.thermometer.lag_s, LEAST_LAG_S) if hidden else 0.0
     return on_the_clock(replace(unit, **chains, thermometer=replace(unit.thermometer, lag_s=lag_s)))
 
 
@@ -126,36 +122,33 @@ def _largest(errors: FloatArray) -> FloatArray:
     return np.asarray(np.nanmax(np.abs(errors), axis=1))
 
 
-def figure3(
-    unit: DeviceModel | None = None, *, seed: int = 0, excursion_k: float = 12.5, back: bool = False
-) -> Figure3:
-    """Make the note's Figure 3 with a unit, as the study models it and with the effects that this model lacks."""
-    person = np.random.default_rng([seed, 0])
-    simulated, actual = ([np.random.default_rng([seed, device, part]) for part in range(2)] for device in (1, 2))
-    unit = unit or preset("enc03j_3031")
-    return compare_devices(unit, person, simulated, actual, excursion_k=excursion_k, back=back)
+def figure3(unit: DeviceModel | None = None, *, seed: int = 0, back: bool = False) -> Figure3:
+    """Make the note's Figure 3 with a unit, as the study models it and with the effects that this model lacks.
 
-
-def compare_devices(
-    unit: DeviceModel,
-    person: np.random.Generator,
-    simulated: Sequence[np.random.Generator],
-    actual: Sequence[np.random.Generator],
-    *,
-    excursion_k: float,
-    back: bool = False,
-) -> Figure3:
-    """Calibrate both devices, wear them in a task that optics saw, and compare them. Each has a generator for the sessions and one
+    Both devices are calibrated, worn in the same task that optics saw, and compared. Each has a generator for the sessions and one
     for the trial.
     """
+    unit, person = unit or preset("enc03j_3031"), np.random.default_rng([seed, 0])
     performed = draw_task("sit_to_stand", rng=person)
     reference = see(performed, rng=person, settings=OPTICS)
-
-    def judged(device: DeviceModel, sessions: np.random.Generator, trial: np.random.Generator) -> tuple[Trial, ...]:
-        full = calibrated(device, rng=sessions, back=back)
-        return judge_compared(full, worn_record(device, performed, excursion_k=excursion_k, rng=trial), reference)
-
-    return _figure(judged(actual_device(unit, ()), *simulated), judged(actual_device(unit), *actual), excursion_k)
+    trials = list[tuple[Trial, ...]]()
+    for number, device in ((1, actual_device(unit, hidden=False)), (2, actual_device(unit))):
+        full = calibrated(device, rng=np.random.default_rng([seed, number, 0]), back=back)
+        rng = np.random.default_rng([seed, number, 1])
+        trials.append(judge_compared(full, worn_record(device, performed, rng=rng), reference))
+    simulated, actual = trials
+    start_s = max(device[FULL].motion.start_s - device[FULL].lag.seconds - LEAD_S for device in trials)
+    inside = (simulated[FULL].time >= start_s) & (simulated[FULL].time < start_s + ACQUISITION_S)
+    simulated_deg, actual_deg = (
+        np.array([trial.error.pitch[inside] for trial in device]) / RADIAN_PER_DEGREE for device in trials
+    )
+    return Figure3(
+        time=actual[FULL].time[inside] - start_s,
+        reference_pitch=actual[FULL].reference_pitch[inside] / RADIAN_PER_DEGREE,
+        simulated=simulated_deg,
+        actual=actual_deg,
+        excursion_k=WARM_C,
+    )
 
 
 def judge_compared(full: Calibration, record: Record, reference: Reference) -> tuple[Trial, ...]:
@@ -167,23 +160,6 @@ def judge_compared(full: Calibration, record: Record, reference: Reference) -> t
             raise InputError(f"Figure 3, {level.name}: {trial}")
         trials.append(trial)
     return tuple(trials)
-
-
-def _figure(simulated: tuple[Trial, ...], actual: tuple[Trial, ...], excursion_k: float) -> Figure3:
-    model, full = simulated[FULL], actual[FULL]
-    start_s = max(trial.motion.start_s - trial.lag.seconds - LEAD_S for trial in (model, full))
-    inside = (model.time >= start_s) & (model.time < start_s + ACQUISITION_S)
-    errors = (
-        np.array([trial.error.pitch[inside] for trial in trials]) / RADIAN_PER_DEGREE for trials in (simulated, actual)
-    )
-    simulated_deg, actual_deg = errors
-    return Figure3(
-        time=full.time[inside] - start_s,
-        reference_pitch=full.reference_pitch[inside] / RADIAN_PER_DEGREE,
-        simulated=simulated_deg,
-        actual=actual_deg,
-        excursion_k=excursion_k,
-    )
 
 
 # ---- what calibrates and wears a device
@@ -198,13 +174,11 @@ def calibrated(device: DeviceModel, *, rng: np.random.Generator, back: bool = Tr
     return fit_drift((thermal,), none).calibration
 
 
-def worn_record(
-    device: DeviceModel, performed: Task, *, excursion_k: float, rng: np.random.Generator, room_c: float = ROOM_TEMP_C
-) -> Record:
+def worn_record(device: DeviceModel, performed: Task, *, rng: np.random.Generator) -> Record:
     """Return the readings of a device in a task after half an hour on a person, at the temperature that it has reached."""
     before = round(WORN_S * SAMPLE_RATE_HZ)
     moved = performed.at(np.arange(round(performed.duration_s * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ, STANDARD_GRAVITY)
     motion = after_rest(moved, np.arange(before, 0, -1) / SAMPLE_RATE_HZ)  # still until the task begins
     share = -np.expm1(-(motion.time + WORN_S) / WARMING_S) / -np.expm1(-WORN_S / WARMING_S)
-    record = simulate_device(device, motion, rng=rng, temp_c=room_c + excursion_k * share, power_on_s=SETTLED_S).record
+    record = simulate_device(device, motion, rng=rng, temp_c=ROOM_TEMP_C + WARM_C * share, power_on_s=SETTLED_S).record
     return record.part(before, len(record))

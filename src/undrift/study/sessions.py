@@ -123,20 +123,11 @@ class CalibrationSession:
 WARMING_MIN = 30.0  # to warm the device on a person, min
 
 
-def table_protocol(
-    name: str,
-    step_dps: float,
-    min_dps: float,
-    max_dps: float,
-    *,
-    set_points_c: tuple[float, ...] = (),
-    dwell_s: float = 2.0,
-) -> Protocol:
+def table_protocol(name: str, step_dps: float, min_dps: float, max_dps: float) -> Protocol:
     """Return a rate-table protocol from the note's numbers, deg/s. Its grid omits omega_m, as in the note's count."""
     step, low, high = (value * RADIAN_PER_DEGREE for value in (step_dps, min_dps, max_dps))
     return Protocol(
-        name=name, grid="paper", turn_rate_step=step, turn_rate_min=low, turn_rate_max=high, dwell_s=dwell_s, bracket_s=6.0,
-        temperatures_c=set_points_c,
+        name=name, grid="paper", turn_rate_step=step, turn_rate_min=low, turn_rate_max=high, dwell_s=2.0, bracket_s=6.0,
     )  # fmt: skip
 
 

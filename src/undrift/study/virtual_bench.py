@@ -128,8 +128,6 @@ def _record(plan: BenchPlan, which: int, bench: SimulatedBench, path: Path, tell
 
 # ---- fits and the worn trial
 
-EXCURSION_K = 12.5  # between the note's 10 and 15
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BenchFit:
@@ -150,7 +148,7 @@ def worn_trial(device: DeviceModel, *, seed: int) -> tuple[Record, Reference]:
     person, noise = np.random.default_rng([seed, 0]), np.random.default_rng([seed, 1])
     performed = draw_task("sit_to_stand", rng=person)
     reference = see(performed, rng=person, settings=OPTICS)
-    return worn_record(device, performed, excursion_k=EXCURSION_K, rng=noise), reference
+    return worn_record(device, performed, rng=noise), reference
 
 
 # ---- comparison with the hidden truth

@@ -198,7 +198,6 @@ def judge_levels(
     trials: Sequence[LevelTrial],
     *,
     settings: TrialSettings = TrialSettings(),
-    margin_deg: float = NOTE_DIFFERENCE_DEG,
     methods: Sequence[Method] = ("strapdown",),
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> LevelTable:
@@ -210,8 +209,6 @@ def judge_levels(
         Recordings with their references, calibrations and people.
     settings : TrialSettings
         Settings of ``validate_trial``, without ``offset``, which the level decides.
-    margin_deg : float
-        Smallest difference that matters, deg.
     methods : sequence of str
         "strapdown", "vqf", or both.
     progress : callable
@@ -247,9 +244,9 @@ def judge_levels(
     return LevelTable(
         trials=tuple(trials),
         quantity=quantity,
-        margin_deg=margin_deg,
+        margin_deg=NOTE_DIFFERENCE_DEG,
         errors=tuple(errors),
-        summaries=tuple(_summaries(trials, errors, margin_deg)),
+        summaries=tuple(_summaries(trials, errors)),
     )
 
 
@@ -326,9 +323,7 @@ def _errors(
 # ---- summaries over people
 
 
-def _summaries(
-    trials: Sequence[LevelTrial], errors: Sequence[LevelErrors], margin_deg: float
-) -> Iterator[LevelSummary]:
+def _summaries(trials: Sequence[LevelTrial], errors: Sequence[LevelErrors]) -> Iterator[LevelSummary]:
     """Yield each level over all trials, and over each task and device if there are several."""
     people = np.array([trial.person or f"\0{number}" for number, trial in enumerate(trials)])
     tasks, devices = np.array([trial.task for trial in trials]), np.array([trial.device for trial in trials])
@@ -343,7 +338,7 @@ def _summaries(
                 previous = None
             judged: BoolArray = inside & np.isfinite(row.error_deg)
             one_task = len(set(tasks[judged])) == 1
-            yield _summary(group, row, previous, judged, people, margin_deg, one_task=one_task)
+            yield _summary(group, row, previous, judged, people, one_task=one_task)
             if judged.any():
                 previous = row
 
@@ -354,7 +349,6 @@ def _summary(
     previous: LevelErrors | None,
     judged: BoolArray,
     people: "np.ndarray[tuple[int], np.dtype[np.str_]]",
-    margin_deg: float,
     *,
     one_task: bool,
 ) -> LevelSummary:
@@ -369,7 +363,7 @@ def _summary(
         both = judged & np.isfinite(previous.error_deg)
         pair = [means_by_person(errors.error_deg, both) for errors in (row, previous)]
         if len(pair[0]) >= MIN_PEOPLE:
-            decision = decide_between(*pair, margin=margin_deg, tests=len(LEVELS) - 1)
+            decision = decide_between(*pair, margin=NOTE_DIFFERENCE_DEG, tests=len(LEVELS) - 1)
     measures = means_by_person(row.measure_deg, judged & np.isfinite(row.measure_deg).all(axis=1))
     enough = len(measures) >= MIN_PEOPLE_FOR_AGREEMENT
     return LevelSummary(

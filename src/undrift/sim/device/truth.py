@@ -23,9 +23,7 @@ from undrift.sim.device.presets import Grade, typical_device
 from undrift.units import STANDARD_GRAVITY
 
 
-def true_calibration(
-    device: DeviceModel, *, temp_c: float | None = None, gravity_m_s2: float = STANDARD_GRAVITY
-) -> Calibration:
+def true_calibration(device: DeviceModel, *, temp_c: float | None = None) -> Calibration:
     """Return the exact calibration of the linear part of a settled device at a temperature.
 
     With k(T) the thermal scale, C the scale's matrix and S the gain: ``matrix = (S diag(1 + k) C)^-1``,
@@ -36,7 +34,7 @@ def true_calibration(
     return Calibration(
         device=device.serial,
         reference_temp_c=temp,
-        gravity_m_s2=gravity_m_s2,
+        gravity_m_s2=STANDARD_GRAVITY,
         gyro=_model(device.gyro, warmth, "rad/s"),
         accel=_model(device.accel, warmth, "m/s2"),
         adc=_adc(device),
@@ -70,7 +68,7 @@ def true_tables(device: DeviceModel, temp_c: FloatArray, turn_rate: FloatArray) 
     )
 
 
-def nominal_calibration(grade: Grade, *, gravity_m_s2: float = STANDARD_GRAVITY) -> Calibration:
+def nominal_calibration(grade: Grade) -> Calibration:
     """Return the calibration from a data sheet: nominal sensitivity, orthogonal axes and no offset."""
     device = typical_device(grade)
 
@@ -79,7 +77,7 @@ def nominal_calibration(grade: Grade, *, gravity_m_s2: float = STANDARD_GRAVITY)
         for chain, unit_out in ((device.gyro, "rad/s"), (device.accel, "m/s2"))
     )
     return Calibration(
-        device="nominal", reference_temp_c=float("nan"), gravity_m_s2=gravity_m_s2, gyro=gyro, accel=accel
+        device="nominal", reference_temp_c=float("nan"), gravity_m_s2=STANDARD_GRAVITY, gyro=gyro, accel=accel
     )
 
 
