@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from testkit.c_build import STRICT
-from testkit.full_calibration import STEPS, device, record, tables
+from testkit.full_calibration import ROUNDINGS, STEPS, device, record, tables, with_magnetometer
 from undrift.correction.correct import correct
 from undrift.errors import InputError
 from undrift.export import ExportOptions
@@ -80,3 +80,11 @@ def test_a_temperature_outside_the_tables_is_refused():
     with pytest.raises(InputError) as caught:
         write_constants(device(drift=tables()), ExportOptions(temp_c=90.0), "a.json")
     assert caught.value.numbers == {"low": 18.0, "high": 75.0}
+
+
+def test_parts_beyond_constants_are_named():
+    model = device(drift=replace(tables(), lag_s=30.0, lag_smooth_s=5.0), adc=ROUNDINGS[2])
+    model = with_magnetometer(replace(model, gyro=replace(model.gyro, moving_offset=np.full(3, 1e-3))))
+    parts = " | ".join(write_constants(model, ExportOptions(temp_c=40.0), "a.json").not_carried)
+    for text in ("code step", "from motion to rest", "magnetometer", "lag of 30 s"):
+        assert text in parts

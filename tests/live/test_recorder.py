@@ -293,3 +293,15 @@ def test_minute_at_two_kilohertz_and_ten_channels_has_no_loss():
     assert np.array_equal(record.mag_ut, values[:, 6:9])
     assert record.temp_c == pytest.approx(values[:, 9] * 0.1)
     assert record.time == pytest.approx(np.arange(rows) / 2000.0)
+
+
+def test_times_without_readings_are_refused():
+    recorder, _ = on_virtual_clock(paced(500))
+    with pytest.raises(InputError, match="no reading yet"):
+        recorder.latest()
+    with recorder:
+        now = recorder.now()
+        with pytest.raises(InputError, match="start must be before"):
+            recorder.between(now, now)
+        with pytest.raises(InputError, match=r"in 0.001 s, got [01]"):
+            recorder.between(now, now + 0.001)

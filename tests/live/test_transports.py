@@ -200,6 +200,8 @@ def test_readings_become_a_record_in_the_units_stated():
         ({}, r"`rate` must be above 0"),
         ({"rate": 1.0, "channels": ("gyro_x", "gyro_y")}, r"gyro .*three axes, got 2"),
         ({"rate": 1.0, "channels": ("temp",)}, r"no channel of gyro"),
+        ({"rate": 1.0, "format": "xml"}, r"got 'xml'"),
+        ({"rate": 1.0, "checksum": "md5"}, r"got 'md5'"),
         ({"rate": 1.0, "channels": (*SIX, "x")}, r"count, -, .* got 'x'"),
         ({"rate": 1.0, "counter_bits": 64}, r"counter_bits .*0 to 53 .*got 64 and 0"),
     ],
@@ -239,3 +241,14 @@ def test_a_missing_lsl_package_says_what_to_install(monkeypatch: pytest.MonkeyPa
     monkeypatch.setitem(sys.modules, "pylsl", None)
     with pytest.raises(LinkError, match=r"pylsl .*pip install undrift\[live\]"):
         lsl_streams()
+
+
+def test_port_that_cannot_be_opened_is_a_lost_link():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        for address in (f"udp://127.0.0.1:{taken.getsockname()[1]}", "serial:///dev/none", "tcp://127.0.0.1:9"):
+            source = source_at(address + OPTIONS)
+            with pytest.raises(LinkError, match="cannot connect"):
+                source.open()
+            with pytest.raises(LinkError, match="is closed"):
+                source.read(0.1)

@@ -174,3 +174,16 @@ def test_a_device_without_a_thermometer_and_a_person_who_gives_up_end_the_run_in
         hand_run(tmp_path / "b", (30.0, 42.0), lambda line, chamber: "q")
     with pytest.raises(InputError, match=r"requires a person"):
         open_chamber("manual:")
+
+
+def test_device_that_is_no_chamber_is_not_opened():
+    with scripted(answers={"*IDN?": b"DMC1415\n"}) as server, pytest.raises(LinkError, match="is not maker"):
+        open_chamber(server.url, SETTINGS)
+
+
+def test_chamber_that_stays_on_or_has_no_set_point_is_named():
+    with scripted(answers={"OUTP OFF;:OUTP?": b"1\n"}) as server, open_chamber(server.url, SETTINGS) as chamber:
+        with pytest.raises(InputError, match="no set-point"):
+            chamber.soaked()
+        with pytest.raises(RigFault, match="are still on"):
+            chamber.switch_off()

@@ -193,3 +193,13 @@ def test_a_position_that_no_axis_can_have_reached_is_garbage(bench):
         bench.rig.position()
     bench.rig.enable(True)
     assert bench.rig.position().angle == 0.0
+
+
+def test_refused_jog_is_a_fault_with_its_code(bench):
+    bench.board.spoilt["$J="] = [b"error:15\r\n"]
+    with pytest.raises(RigFault) as refused:
+        bench.rig.turn_for(1.0, 2.0)
+    assert refused.value.code == 15
+    bench.board.state = "Door"
+    with pytest.raises(RigFault, match="safety door"):
+        bench.rig.turn_for(1.0, 2.0)

@@ -40,6 +40,7 @@ def test_a_rig_that_is_none_of_ours_is_refused(address):
     [
         ("limits=9", "unknown option 'limits'"),
         ("baud", "expected options as name=value"),
+        ("baud=fast", "'fast' is not a value"),
     ],
 )
 def test_an_option_that_is_none_is_refused(query, text):
@@ -132,3 +133,8 @@ def test_few_positions_on_a_line_by_chance_do_not_make_the_rate_certain(count):
     beyond = np.mean([abs(each.turn_rate - 1.0) > 3.0 * each.uncertainty for each in found])
     show(f"{count} positions: rates beyond three standard uncertainties, %", 100.0 * beyond)
     assert beyond < 0.015  # Student, 18 degrees of freedom: 0.8 %; and three standard errors of 2,000 draws
+
+
+def test_speed_of_the_simulated_bench_is_positive():
+    with pytest.raises(InputError, match="must be positive"):
+        open_rig("simulated:?clock_speed=0")

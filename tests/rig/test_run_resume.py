@@ -156,7 +156,7 @@ def test_a_table_whose_program_died_comes_to_rest_within_the_dwell(tmp_path, con
 
 
 @needs_signals
-@pytest.mark.parametrize("name", ["SIGTERM", "SIGTSTP", "SIGINT"])
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGTSTP"])
 def test_signals_end_a_run_at_rest_with_what_was_done(tmp_path, name):
     bench = simulated()
     card, number = TurningCard(bench), getattr(signal, name)
