@@ -9,9 +9,11 @@ import pytest
 
 from testkit.pages import faults_of
 from testkit.rig_bench import PROTOCOL
+from testkit.talking_device import TalkingDevice
 from undrift.cli.app import run
 from undrift.commands.rig import run as run_rig
 from undrift.errors import InputError
+from undrift.io.session import read_session
 from undrift.io.store import read_calibration
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration
@@ -129,3 +131,14 @@ def test_devices_without_addresses_or_a_serial_of_their_own_are_refused(tmp_path
                 output=tmp_path / "o",
             )
     assert not (tmp_path / "o").exists()
+
+
+def test_run_by_hand_reads_a_real_device(tmp_path, monkeypatch, capsys):
+    (tmp_path / "p.toml").write_text('[faces]\norder = ["+z"]\nseconds = 1.0\n')
+    monkeypatch.setattr(sys, "stdin", io.StringIO("\n" * 9))
+    with TalkingDevice() as device:
+        words = ["rig", "run", str(tmp_path / "p.toml"), "--rig", "manual:", "--device", device.address, "--yes"]
+        assert run([*words, "-o", str(tmp_path / "run")]) == 0, capsys.readouterr().err
+    session = read_session(tmp_path / "run")
+    assert session.serial == "talker"
+    assert [still.face for still in session.stills] == ["+z"]
