@@ -1,7 +1,7 @@
 """The exported C source compiled and run: float and double, on the inputs that Python gets too."""
 
 import subprocess
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -100,16 +100,3 @@ def run_program(exported: ExportedC, folder: Path, arithmetic: str, inputs, row,
     rows = np.frombuffer(done.stdout, row)
     assert len(rows) == len(inputs)
     return rows
-
-
-def run_with_lag(exported: ExportedC, folder: Path, arithmetic: str, r):
-    """Rate, specific force and temperature of the program, and the inputs as it was given them, times included."""
-    parts = np.column_stack((r.gyro, r.accel, r.temp_c, np.diff(r.time, prepend=r.time[0])))
-    inputs = parts.astype(TYPES[arithmetic])
-    row = np.dtype((TYPES[arithmetic], 7))
-    out = run_program(exported, folder, arithmetic, inputs, row, main=LAG_MAIN, options=("-O2",)).astype(float)
-    given = inputs.astype(float)
-    same = replace(
-        r, gyro=given[:, :3], accel=given[:, 3:6], temp_c=given[:, 6], time=r.time[0] + np.cumsum(given[:, 7])
-    )
-    return out, same
