@@ -57,8 +57,8 @@ def repeated(task: Task) -> Motion:
     step[1:] = rotation_vector(quaternion_product(quaternion_conjugate(q[:-1]), q[1:])) * RATE_HZ
     force = rotate(quaternion_conjugate(q), np.array([0.0, 0.0, STANDARD_GRAVITY]))
     return Motion(
-        time=time, q_nb=q, rate_b=rate, mean_rate_b=step, force_b=force, gravity_m_s2=STANDARD_GRAVITY, angular_acceleration_b=np.gradient(rate, time, axis=0),
-        moving=(time >= REST_S).astype(float),
+        time=time, q_nb=q, rate_b=rate, mean_rate_b=step, angular_acceleration_b=np.gradient(rate, time, axis=0),
+        force_b=force, gravity_m_s2=STANDARD_GRAVITY, moving=(time >= REST_S).astype(float),
     )  # fmt: skip
 
 

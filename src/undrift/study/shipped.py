@@ -29,12 +29,6 @@ AGREES = 1e-3  # of the largest value: rounding and another processor differ by 
 
 Fit = dict[str, FloatArray]  # arrays by their names, none if the session could not calibrate the device
 
-# settings that a protocol had when the fits of the file were made, with their only values, each before the setting that follows
-REMOVED = (
-    ("dwell_s", "order='alternating', seed=0"),
-    ("bracket_s", "turn_rate_uncertainty=None"),
-    ("acceleration", "whole_turns=False"),
-)
 # shape of each array, and its rounding relative to its largest value
 ARRAYS: dict[str, tuple[tuple[int, ...], float]] = {
     "gyro.matrix": ((3, 3), 1e-7),
@@ -65,10 +59,7 @@ def key_of(device: str, session: CalibrationSession | str, *words: Any) -> int:
     """Return the hash of a device, a session or rival, and all else that a fit depends on."""
     if isinstance(session, CalibrationSession):
         session = replace(session, name="", protocol=session.protocol and replace(session.protocol, name=""))
-    text = repr((device, session, words))
-    for name, removed in REMOVED:
-        text = text.replace(f", {name}=", f", {removed}, {name}=")
-    return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=8).digest(), "big")
+    return int.from_bytes(hashlib.blake2b(repr((device, session, words)).encode(), digest_size=8).digest(), "big")
 
 
 def pack(calibration: Calibration | None) -> Fit | None:
