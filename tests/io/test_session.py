@@ -124,7 +124,7 @@ def test_native_files_need_no_columns_and_files_side_by_side_are_joined(tmp_path
         ("recording = 0", "recording = 3", r"\[\[still\]\] 1: expected recording 0 to 0, got 3"),
         (
             'kind = "calibration" ', 'kind = "party"',
-            "'calibration', 'thermal', 'static' or 'set-points'",
+            "'calibration', 'thermal' or 'static'",
         ),
         ("gravity_m_s2 = 9.80665", "latitude_deg = 40.0", "got only one of the last two"),
         ("gravity_m_s2 = 9.80665", "gravity_m_s2 = 980.665", "between 9.7 and 9.9"),
