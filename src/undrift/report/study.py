@@ -86,27 +86,38 @@ def file_stem(session: CalibrationSession) -> str:
 
 
 def _answer(outcome: StudyOutcome) -> str:
-    """Return the cheapest session for all tasks at each target, and what of its error rests on assumed figures."""
+    """Return the cheapest session for all tasks, each with the targets for which it is enough."""
     several = "all tasks" if len(outcome.tasks) > 1 else name_of(outcome.tasks[0])
-    sentences = "; ".join(_sentence(answer, outcome) for answer in outcome.for_all)
+    targets = dict[str, list[Answer]]()
+    for answer in outcome.for_all:
+        targets.setdefault(answer.session or "", []).append(answer)
+    sentences = "; ".join(_sentence(answers, outcome) for answers in targets.values())
+    return f"Cheapest session that is good enough in {several}: {sentences}."
+
+
+def _sentence(answers: Sequence[Answer], outcome: StudyOutcome) -> str:
+    degrees = f"for {' and '.join(f'{answer.target_deg:g}' for answer in answers)} deg"
+    if not answers[0].session:
+        return f"{degrees} none"
+    session = next(one for one in outcome.study.sessions if one.name == answers[0].session)
+    needs = "no instrument" if session.instruments == "none" else session.instruments
+    doubt = ", not confirmed" if any(answer.tested and not answer.confirmed for answer in answers) else ""
+    return f"{degrees} {session.name} ({session.length_min:.0f} min, {needs}{doubt})"
+
+
+def _assumed(outcome: StudyOutcome) -> str:
+    """Return the share of the error of each answer that rests on assumed figures of the device."""
     shares = [
         f"{100.0 * share:.0f} % ({name_of(task)}, {breakdown_session(task)})"
         for task in outcome.tasks
         for name, share in task.breakdown
         if name == ASSUMED
     ]
-    assumed = f" Share of its mean square error that rests on assumed figures of the device: {', '.join(shares)}."
-    return f"Cheapest session that is good enough in {several}: {sentences}.{assumed if shares else ''}"
-
-
-def _sentence(answer: Answer, outcome: StudyOutcome) -> str:
-    if not answer.session:
-        return f"for {answer.target_deg:g} deg no session is good enough"
-    session = next(one for one in outcome.study.sessions if one.name == answer.session)
-    needs = "no instrument" if session.instruments == "none" else session.instruments
-    tested = f"; {answer.below} of {answer.tested} other devices on other people below" if answer.tested else ""
-    tested += ", not confirmed" if answer.tested and not answer.confirmed else ""
-    return f"for {answer.target_deg:g} deg '{answer.session}' ({session.length_min:.0f} min, {needs}{tested})"
+    return (
+        f" Share of its mean square error that rests on assumed figures of the device: {', '.join(shares)}."
+        if shares
+        else ""
+    )
 
 
 def _for_all(outcome: StudyOutcome) -> Table:
@@ -116,7 +127,7 @@ def _for_all(outcome: StudyOutcome) -> Table:
         for name, answer in answers:
             counts = (answer.below, answer.tested, answer.confirmed) if answer.tested else (None, None, None)
             rows.append((answer.target_deg, name, answer.session or "none", *counts))
-    note = GOOD_ENOUGH
+    note = GOOD_ENOUGH + _assumed(outcome)
     if outcome.study.shipped:
         note += " Fits that come with undrift were used where they exist; those of device 0 were made again and agree."
     columns = ("target (deg)", "task", "cheapest session", "other group below", "of", "confirmed")
