@@ -15,6 +15,7 @@ from undrift.errors import FileFormatError, InputError
 from undrift.io.column_map import ColumnMap
 from undrift.io.formats import detect, read_counted, read_record
 from undrift.io.inspect import describe
+from undrift.io.libraries import library
 
 COUNTS = column_map(time="time_s", time_unit="s", gyro=(0, 1, 2), gyro_unit="count")
 
@@ -273,7 +274,7 @@ def test_a_cut_or_overwritten_container_ends_in_one_line(tmp_path, name):
 def test_a_library_that_is_missing_is_named_with_its_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyulog", None)
     with pytest.raises(InputError, match=r"pip install 'undrift\[formats\]'"):
-        read_record(data_path(*LOG))
+        library("pyulog")
 
 
 # ---- axivity, GENEActiv and ActiGraph binaries

@@ -29,6 +29,7 @@ from undrift.files import first_line, read_bytes, sound
 from undrift.io.clock import onto_clock
 from undrift.io.column_map import QUANTITY, Column, ColumnMap, naming, native_map
 from undrift.io.columns import RawTable, of_channels
+from undrift.io.isolated import isolated
 from undrift.units import canonical_unit
 
 Arrays = tuple[tuple[str, NDArray[Any]], ...]
@@ -36,13 +37,17 @@ Channels = dict[str, tuple[Any, str]]  # (N,) or (N, 3), and the unit
 
 
 def reader(kind: str, read: Callable[[Path, ColumnMap], Any]) -> Callable[[Path, ColumnMap], Any]:
-    """Return a reader that names the file in errors. Any error of the library means that the file is damaged."""
+    """Return a reader in a process of its own. Any error of the library means that the file is damaged."""
 
     def read_file(path: Path, how: ColumnMap) -> Any:
-        with sound(path, kind), naming(path), warnings.catch_warnings(action="ignore"):
-            return read(path, how)
+        return isolated(_soundly, path, how, kind, read)
 
     return read_file
+
+
+def _soundly(path: Path, how: ColumnMap, kind: str, read: Callable[[Path, ColumnMap], Any]) -> Any:
+    with sound(path, kind), naming(path), warnings.catch_warnings(action="ignore"):
+        return read(path, how)
 
 
 def library(module: str) -> Any:

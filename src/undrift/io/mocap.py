@@ -9,9 +9,6 @@ of its markers are visible. Its pose in each frame solves
 by the singular value decomposition of sum_k x_k c_k^T (Kabsch). Frames with fewer than three markers are gaps.
 """
 
-import pickle
-import subprocess
-import sys
 import tempfile
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
@@ -22,9 +19,10 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.errors import FileFormatError, InputError
-from undrift.files import is_gzip, read_bytes
+from undrift.files import is_gzip, read_bytes, sound
 from undrift.frames import signed
 from undrift.io.column_map import naming
+from undrift.io.isolated import isolated
 from undrift.record import Reference, check_time, sample_rate_of
 from undrift.units import si_factor
 
@@ -245,22 +243,8 @@ def is_c3d(head: bytes) -> bool:
     return len(head) > 512 and head[1] == _MAGIC and 2 <= head[0] < 128
 
 
-_PARSER = """
-import pickle, sys, ezc3d
-trial = ezc3d.c3d(sys.argv[1])
-header, data = trial["header"]["points"], trial["data"]
-point = {name: item["value"] for name, item in trial["parameters"]["POINT"].items() if "value" in item}
-with open(sys.argv[2], "wb") as file:
-    pickle.dump((header, point, data["points"], data["meta_points"]["residuals"], data["analogs"].size), file)
-"""
-_PARSER_S = 120.0  # longest time for the parser, plus a second for each megabyte
-
-
 def _parse(path: Path) -> tuple[Any, Any, FloatArray, FloatArray]:
-    """Return the header, the parameters, the points and the residuals of a C3D file.
-
-    The library runs in a process of its own, because a damaged file can crash it or keep it busy without end.
-    """
+    """Return the header, the parameters, the points and the residuals of a C3D file."""
     if find_spec("ezc3d") is None:
         raise InputError(
             f"{path}: C3D files need the package ezc3d, which is not installed. Run pip install ezc3d, or export TRC."
@@ -271,23 +255,22 @@ def _parse(path: Path) -> tuple[Any, Any, FloatArray, FloatArray]:
         if is_gzip(path):
             plain = Path(folder) / "unpacked.c3d"
             plain.write_bytes(content)
-        result, limit_s = Path(folder) / "result", _PARSER_S + len(content) / 1e6
-        argv = [sys.executable, "-c", _PARSER, str(plain), str(result)]
-        try:
-            done = subprocess.run(argv, capture_output=True, text=True, timeout=limit_s, check=False)
-        except subprocess.TimeoutExpired as error:
-            raise FileFormatError(
-                f"{path}: the parser did not finish in {limit_s:.0f} s. Copy the file again."
-            ) from error
-        if done.returncode:
-            why = (done.stderr.strip().splitlines() or [f"exit code {done.returncode}"])[-1]
-            raise FileFormatError(f"{path}: expected a sound C3D file, got a damaged file ({why}). Copy it again.")
-        header, point, points, residuals, values = pickle.loads(result.read_bytes())
+        header, point, points, residuals, values = isolated(_parts, path, plain)
     if analogs * points.shape[2] != values:  # with another count of analog values points are read at other places
         raise FileFormatError(
             f"{path}: the parameters do not give {analogs} analog values per frame. The file is damaged."
         )
     return header, point, points, residuals
+
+
+def _parts(path: Path, plain: Path) -> tuple[Any, Any, FloatArray, FloatArray, int]:
+    import ezc3d
+
+    with sound(path, "C3D"):
+        trial = ezc3d.c3d(str(plain))
+        header, data = trial["header"]["points"], trial["data"]
+        point = {name: item["value"] for name, item in trial["parameters"]["POINT"].items() if "value" in item}
+        return header, point, data["points"], data["meta_points"]["residuals"], data["analogs"].size
 
 
 def _check_size(content: bytes, path: Path) -> int:

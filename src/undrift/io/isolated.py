@@ -1,0 +1,51 @@
+"""A library's parser in a process of its own: a damaged file may crash it or keep it busy, and the result is still one error."""
+
+import os
+import pickle
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from undrift.base.workers import has_threads
+from undrift.errors import FileFormatError, InputError
+from undrift.files import bytes_in
+
+LIMIT_S, SECOND_PER_MEGABYTE = 120.0, 1.0
+
+
+def isolated(parse: Callable[..., Any], path: Path, *arguments: Any) -> Any:
+    """Return ``parse(path, *arguments)`` of a function at the top of a module. Its input errors are raised here."""
+    if not has_threads():  # nor processes
+        return parse(path, *arguments)
+    limit_s = LIMIT_S + SECOND_PER_MEGABYTE * bytes_in(path) / 1e6
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    with tempfile.TemporaryDirectory() as folder:
+        call, result = Path(folder) / "call", Path(folder) / "result"
+        call.write_bytes(pickle.dumps((parse, path, *arguments)))
+        argv = [sys.executable, "-c", f"from {__name__} import answer; answer()", str(call), str(result)]
+        try:
+            done = subprocess.run(argv, env=environment, capture_output=True, timeout=limit_s, check=False)
+        except subprocess.TimeoutExpired as error:
+            raise FileFormatError(
+                f"{path}: the parser did not finish in {limit_s:.0f} s. Copy the file again."
+            ) from error
+        if not result.exists():
+            raise FileFormatError(f"{path}: the parser crashed (exit code {done.returncode}). Copy the file again.")
+        parsed = pickle.loads(result.read_bytes())
+    if isinstance(parsed, InputError):
+        raise parsed
+    return parsed
+
+
+def answer() -> None:
+    """Make the call of a file, and write the result or the input error to another file."""
+    call, result = map(Path, sys.argv[1:])
+    parse, *arguments = pickle.loads(call.read_bytes())
+    try:
+        parsed = parse(*arguments)
+    except InputError as error:
+        parsed = type(error)(str(error), **error.numbers)
+    result.write_bytes(pickle.dumps(parsed))
