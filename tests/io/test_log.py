@@ -97,6 +97,16 @@ def test_lines_that_are_lost_are_counted_and_a_last_line_without_end_is_left_out
     assert (log.before, log.lost, log.content.count(b"\n")) == (1, 2, 18)
 
 
+@pytest.mark.parametrize(("damage", "lost"), [("", 0), ("at the end of each line", 0), ("over an end of line", 1)])
+def test_zeros_over_readings_are_lost_readings_and_zeros_behind_lines_are_none(damage: str, lost: int):
+    end = "\0\n" if damage == "at the end of each line" else "\n"
+    lines = [f"{k}.5 -{k}.25 9.81{end}" for k in range(20)]
+    if damage == "over an end of line":
+        lines[7] = "7.5" + "\0" * 12
+    log = find_readings("".join(lines).encode())
+    assert (log.lost, log.content.count(b"\n")) == (lost, 20 - 2 * lost)
+
+
 def test_a_clock_goes_on_past_midnight():
     def line(k: int) -> str:
         s = 86399.8 + 0.1 * k

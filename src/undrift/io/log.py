@@ -36,8 +36,8 @@ _SHARE = 0.5  # of the lines of the most frequent shape: as frequent, so that it
 _MOST_LINES = 24  # of one reading
 _NUMBER = re.compile(r"(?<![\w.^])[-+]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|(?:nan|inf)\b)")
 _UNSEEN = re.compile(
-    r"\x1b\[[0-9;]*[A-Za-z]|[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]"
-)  # colours of a terminal, noise of a port
+    r"\x1b\[[0-9;]*[A-Za-z]|[\x01-\x08\x0b\x0c\x0e-\x1f\x7f]|\x00+$"
+)  # colours of a terminal, noise of a port, the end of a C string; other zeros are damage
 _DAY_S = 86400.0
 _STAMPS = (  # of a monitor or a system, the latter with level and part
     re.compile(
@@ -85,7 +85,7 @@ class LineReader:
 
     def take(self, raw: str) -> LogLine | None:
         """Return the parts of a line that contains numbers."""
-        stamp, line = _stamp(_UNSEEN.sub("", raw).strip())
+        stamp, line = _stamp(_UNSEEN.sub("", raw.rstrip("\r\n")).strip())
         if stamp is not None:
             self._day += _DAY_S * (stamp + self._day < self._before - 0.5 * _DAY_S)  # past midnight
             self._before = stamp = stamp + self._day
