@@ -4,6 +4,7 @@ import ast
 import json
 import re
 import tomllib
+from importlib import import_module
 from pathlib import Path
 
 import undrift
@@ -67,6 +68,20 @@ def test_constants_are_written_once() -> None:
 def test_no_module_of_undrift_is_imported_by_a_string() -> None:
     pattern = re.compile(r"""(import_module|__import__)\(f?["']undrift""")
     assert [path for path in SOURCES if pattern.search(path.read_text())] == []
+
+
+def test_names_that_benchmarks_and_pictures_import_exist() -> None:
+    """No type checker reads them."""
+    paths = [path for folder in ("benchmarks", "docs") for path in (ROOT / folder).rglob("*.py")]
+    imports = [(path, node) for path in paths for node in ast.walk(ast.parse(path.read_text()))]
+    missing = [
+        f"{path.relative_to(ROOT)}:{node.lineno}: {node.module}.{alias.name}"
+        for path, node in imports
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("undrift")
+        for alias in node.names
+        if not hasattr(import_module(str(node.module)), alias.name)
+    ]
+    assert missing == []
 
 
 def test_published_schema_is_that_of_the_models() -> None:
