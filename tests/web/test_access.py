@@ -11,7 +11,7 @@ import pytest
 from testkit.bench import bench_process
 from undrift.cli.app import run
 from undrift.web import app
-from undrift.web.access import refused
+from undrift.web.access import refused, too_large
 
 TOKEN = "a-token-of-sixteen"
 
@@ -59,6 +59,21 @@ def test_with_a_token_every_request_carries_it(query: str, cookie: str, passes: 
     assert (refused(scope(query=query, host="192.168.1.4", cookie=cookie), TOKEN) == "") is passes
 
 
+@pytest.mark.parametrize(
+    ("sent", "read"),
+    [
+        ({}, True),
+        ({"content-length": "2000000"}, True),  # two files of 1 MB
+        ({"content-length": "2100000"}, False),
+        ({"content-length": "-1"}, False),
+        ({"content-length": "\u0662"}, False),
+        ({"content-length": "5", "transfer-encoding": "chunked"}, False),
+    ],
+)
+def test_content_that_is_too_large_is_not_read(sent: dict[str, str], read: bool) -> None:
+    assert (too_large(scope(method="POST", **sent), 2.0) == "") is read
+
+
 def test_a_fresh_token_is_in_the_address_that_is_printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     addresses, served = list[str](), list[str | None]()
 
@@ -98,6 +113,10 @@ def test_bench_answers_nobody_without_its_token(tmp_path: Path) -> None:
         assert cookie.startswith(f"undrift_token_{server.port}=")  # of this bench, beside that of another port
         assert "HttpOnly" in cookie
         assert "samesite=strict" in cookie.lower()
+        sent = {"cookie": cookie.partition(";")[0], "content-length": "5000000000"}  # 5 GB, of which nothing follows
+        status, _, body = asked("/", "POST", **sent)
+        assert status == 413
+        assert body.startswith(b"upload: files that are sent together may have 500 MB.")
         status, headers, _ = asked("/", cookie=cookie.partition(";")[0])
         assert status == 200
         policy = headers["content-security-policy"]

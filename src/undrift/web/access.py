@@ -3,7 +3,8 @@ other users.
 
 The token is in the cookie that ``/?token=...`` sets for the bench's port, or in the query. Without a token, requests
 must name a loopback host, so that another site cannot reach the bench with its own host name (DNS rebinding). Requests
-that change something, and websockets, must come from a page of the bench. Their Origin must equal the Host.
+that change something, and websockets, must come from a page of the bench. Their Origin must equal the Host. Requests that
+send more than the largest upload are refused before their content is read.
 """
 
 import hmac
@@ -19,6 +20,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 COOKIE = "undrift_token"
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 SAFE = ("GET", "HEAD", "OPTIONS")
+FORM_BYTES = 65_536  # of the names and lines around files that are sent
 HEADERS = {  # of every answer: nothing from elsewhere, in nobody else's frame
     "Content-Security-Policy": "default-src 'self' data: blob:; script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' "
     "'unsafe-inline'; connect-src 'self' ws://OWN wss://OWN; frame-ancestors 'self'; form-action 'self'",
@@ -28,10 +30,10 @@ HEADERS = {  # of every answer: nothing from elsewhere, in nobody else's frame
 
 
 class Access:
-    """ASGI application around the bench that accepts requests, or refuses them with status 400 or 403 and one line."""
+    """ASGI application around the bench that accepts requests, or refuses them with status 403 or 413 and one line."""
 
-    def __init__(self, app: ASGIApp, token: str | None) -> None:
-        self._app, self._token = app, token
+    def __init__(self, app: ASGIApp, token: str | None, upload_mb: float) -> None:
+        self._app, self._token, self._upload_mb = app, token, upload_mb
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer one request, or hand it on."""
@@ -44,6 +46,9 @@ class Access:
             return
         if refusal:
             await PlainTextResponse(refusal + "\n", 403)(scope, receive, send)
+            return
+        if too_long := too_large(scope, self._upload_mb):
+            await PlainTextResponse(too_long + "\n", 413, {"Connection": "close"})(scope, receive, send)
             return
         query = parse_qs(scope.get("query_string", b"").decode("latin-1"))
         if self._token is not None and scope["type"] == "http" and scope["method"] == "GET" and "token" in query:
@@ -76,6 +81,19 @@ def refused(scope: Scope, token: str | None) -> str:
     if token is not None and not hmac.compare_digest(_given_token(scope, headers).encode(), token.encode()):
         return "bench: the token is missing or wrong. Open the address that undrift bench printed."
     return ""
+
+
+def too_large(scope: Scope, upload_mb: float) -> str:
+    """Return why the content of a request is not read, "" where it is: it is too large, or its length is not stated."""
+    headers = Headers(scope=scope)
+    length = headers.get("content-length", "0")
+    whole = "transfer-encoding" not in headers and length.isascii() and length.isdigit()
+    if whole and int(length) <= upload_mb * 1e6 + FORM_BYTES:
+        return ""
+    return (
+        f"upload: files that are sent together may have {upload_mb:g} MB. Send a part of them, or restart the bench with a "
+        "larger --upload-mb."
+    )
 
 
 def _name(host: str) -> str:

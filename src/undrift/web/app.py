@@ -37,7 +37,7 @@ def _serve(settings: ServerSettings, ready: Callable[[str], None], lock: IO[str]
     lock.flush()
     address += f"?token={settings.token}" if settings.token else ""
     config = uvicorn.Config(
-        Access(application(bench, partial(ready, address)), settings.token),
+        Access(application(bench, partial(ready, address)), settings.token, settings.upload_mb),
         log_level="warning", access_log=False, timeout_graceful_shutdown=2, server_header=False,
         ws_max_size=1 << 20, ws_per_message_deflate=False,  # noise does not shrink, and the time of it is missed
     )  # fmt: skip

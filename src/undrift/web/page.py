@@ -221,12 +221,12 @@ def uploader(bench: Bench) -> None:
         await attempt(bench, "upload", lambda: bench.receive(event.files))
 
     def refused() -> None:
-        bench.errors["upload"] = f"The largest file that is accepted has {bench.settings.upload_mb:g} MB."
+        bench.errors["upload"] = f"Files that are sent together may have {bench.settings.upload_mb:g} MB."
         bench.changed()
 
     largest = int(bench.settings.upload_mb * 1e6)
     area = ui.upload(
-        multiple=True, auto_upload=True, max_file_size=largest, on_multi_upload=arrived, on_rejected=refused
+        multiple=True, auto_upload=True, max_total_size=largest, on_multi_upload=arrived, on_rejected=refused
     )
     area.props("flat bordered").add_slot("header", CHOOSER)
     ui.label(bench.errors.get("upload", "")).classes("error").props('role="alert"')
