@@ -20,7 +20,7 @@ from undrift.commands.files import (
 )
 from undrift.findings import Finding
 from undrift.report import Report, Table
-from undrift.report.figures import draw_allan
+from undrift.report.figures import draw_allan, draw_allan_fit
 from undrift.report.report import Cell
 from undrift.screen import progress, reading
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical
@@ -139,6 +139,7 @@ def _coefficients(fit: NoiseFit, triad: str) -> Table:
         columns=("axis", "coefficient", "value", "95 % from", "to", "unit"),
         rows=rows,
         note="Without a value, the recording determines only the upper limit.",
+        figure=lambda: draw_allan_fit(fit, triad, TERMS[triad]),
     )
 
 

@@ -500,6 +500,30 @@ def _draw_deviation(panel: "Axes", axis: "AxisNoise", name: str, k: int) -> None
     )
 
 
+def draw_allan_fit(fit: "NoiseFit", triad: str, terms: Mapping[str, str]) -> "Figure":
+    """Draw each axis of a triad with the fitted line of each term, and a mark where its coefficient is read."""
+    figure, panels = new_figure(3, height=2.1)
+    dashes = dict(zip(terms, (("-.", "D", 1.0), ("--", "s", None), (":", "^", 3.0)), strict=True))
+    for k, (panel, axis) in enumerate(zip(panels, getattr(fit, triad), strict=True)):
+        _draw_deviation(panel, axis, triad, k)
+        taus_s = axis.curve.taus_s
+        parts, low = axis.terms(taus_s), float(np.nanmin(axis.curve.lower))
+        total = np.sqrt(sum(parts.values()))
+        panel.plot(taus_s, total, color=OPTICS, linewidth=0.9, label="model")
+        for name, (dash, marker, term_tau_s) in dashes.items():
+            if (line := np.sqrt(parts[name])).any():
+                at = float(taus_s[total.argmin()]) if term_tau_s is None else term_tau_s
+                far = (line > 0.5 * low) | (taus_s >= 0.5 * at if name == "rate_random_walk" else False)
+                asymptote = np.where(far, line, np.nan)
+                panel.plot(taus_s, asymptote, color=LIMIT, linestyle=dash, label=terms[name])
+                panel.plot(at, np.sqrt(axis.terms(np.array([at]))[name]), marker=marker, color=LIMIT, markersize=5.0)
+        panel.set(xscale="log", yscale="log", ylabel=f"{triad} {axis.axis} ({getattr(fit, f'{triad}_unit')})")
+        legend_above(panel)
+    entitle(figure, "Allan deviation and its terms. Each mark shows the point at which a coefficient is read.")
+    panels[-1].set_xlabel("averaging time (s)")
+    return figure
+
+
 # ---- pictures of a study
 
 COMPARED_COLOURS = (LIMIT, ERROR, DEVICE, "#9a6a00", "#3f8f4f")
