@@ -40,11 +40,11 @@ def load_named(name: str, table: Mapping[str, str], group: str, kind: type = obj
     return target
 
 
-def split_address(text: str, what: str, table: Mapping[str, str], group: str, advice: str) -> tuple[str, str, Options]:
-    """Split ``kind:place?name=value&name=value``. The kind must be in the table or in the entry-point group."""
+def split_address(text: str, what: str, kinds: tuple[str, ...], advice: str) -> tuple[str, str, Options]:
+    """Split ``kind:place?name=value&name=value``. The kind must be one of several."""
     kind, colon, rest = text.partition(":")
-    if not colon or (kind not in table and kind not in names_in(table, group)):
-        listing = ", ".join(f"{name}:..." for name in names_in(table, group))
+    if not colon or kind not in kinds:
+        listing = ", ".join(f"{name}:..." for name in kinds)
         raise InputError(f"{what}: expected one of {listing}, got '{text}'. {advice}.")
     place, _, query = rest.partition("?")
     try:

@@ -23,7 +23,7 @@ from undrift.arrays import FloatArray
 from undrift.base.clock import HOST, Clock, Port
 from undrift.errors import InputError, LinkError, RigTimeout
 from undrift.live.decoder import COUNTER, Chunk, StreamDescription, decoder_for, described, finite
-from undrift.plugins import Options, load_named, split_address
+from undrift.plugins import Options, split_address
 
 POLL_S = 0.05
 WRITE_S = 1.0
@@ -37,10 +37,6 @@ QUIET = "[log]\nlevel = -2\n"  # configuration of the LSL library, so that it pr
 # USB vendors of microcontroller boards and of USB serial converters
 BOARDS = {0x0403, 0x0483, 0x067B, 0x10C4, 0x16C0, 0x1915, 0x1A86, 0x2341, 0x239A, 0x2886, 0x2A03, 0x2E8A, 0x303A}
 LSL_FOLDERS = (".", "~/lsl_api", "/etc/lsl_api")  # folders of a user's lsl_api.cfg
-SOURCES = {  # function that returns the source of an address, by kind
-    **{kind: f"undrift.live.transports:{kind}_source" for kind in ("tcp", "udp", "serial", "lsl")},
-    "simulated": "undrift.live.hands:source_of",
-}
 
 
 class Source(Protocol):
@@ -83,13 +79,12 @@ def source_at(text: str, description: StreamDescription | None = None, clock: Cl
     """Return the unopened source of an address."""
     kind, place, options = device_address(text)
     address = Address(kind=kind, place=place, options=options, description=description, clock=clock)
-    source: Source = load_named(kind, SOURCES, "")(address)
-    return source
+    return SOURCES[kind](address)
 
 
 def device_address(text: str) -> tuple[str, str, Options]:
     """Return the kind, the place and the options of an address."""
-    return split_address(text, "device", SOURCES, "", "Name how it is connected")
+    return split_address(text, "device", tuple(SOURCES), "Name how it is connected")
 
 
 # ---- Ports, which transfer bytes. A read returns b"" on timeout, and raises OSError or EOFError if the connection is lost.
@@ -373,3 +368,19 @@ def lsl_source(address: Address) -> Source:
         return pylsl.StreamInlet(streams[0], recover=False, processing_flags=flags)
 
     return LslSource(f"lsl:{name}", address.describe(), connect)
+
+
+def simulated_source(address: Address) -> Source:
+    """Return the source of a simulated device in the hands of an operator."""
+    from undrift.live.hands import source_of  # which imports this module
+
+    return source_of(address)
+
+
+SOURCES: dict[str, Callable[[Address], Source]] = {
+    "tcp": tcp_source,
+    "udp": udp_source,
+    "serial": serial_source,
+    "lsl": lsl_source,
+    "simulated": simulated_source,
+}

@@ -22,7 +22,7 @@ import numpy as np
 
 from undrift.base.clock import HOST, Clock, PacedClock
 from undrift.errors import InputError, LimitError, RigFault, check_positive
-from undrift.plugins import load_named, split_address
+from undrift.plugins import load_named, names_in, split_address
 from undrift.programme import Dwell, Programme
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
@@ -344,7 +344,7 @@ def check_free(name: str, state: str, settings: RigSettings) -> None:
 
 def parse_address(address: str, settings: RigSettings = RigSettings()) -> tuple[str, str, RigSettings]:
     """Return the kind, the URL and the settings that an address contains."""
-    kind, url, options = split_address(address, "rig", CONTROLLERS, GROUP, "Name the kind of rig")
+    kind, url, options = split_address(address, "rig", names_in(CONTROLLERS, GROUP), "Name the kind of rig")
     known = SIMULATED_OPTIONS if kind == "simulated" else OPTIONS
     values = dict[str, Any]()
     for name, text in options:
