@@ -128,8 +128,12 @@ def rotation_rows(
         elif finite.sum() > 1:
             weight = np.ones(int(finite.sum()))
             windows.append(gyro[finite])
+        elif piece.face is None:
+            continue
         else:
-            continue  # a rest without readings
+            raise InputError(
+                f"known rotation: expected readings at rest on face {piece.face}, got {finite.sum()}. Choose another stretch."
+            )
         weight = weight / weight.sum()
         pieces.append(piece)
         reading.append(weight @ gyro[finite])

@@ -171,9 +171,14 @@ def fit_drift(
     (17.5, 75.0)
     """
     report, rate_b = progress or (lambda what, share: None), None
-    if not isinstance(sessions, Sequence):
+    if not isinstance(sessions, Sequence) and hasattr(sessions, "columns"):
         session, rate_b = observe.means_session(sessions)
         sessions = [session]
+    if not isinstance(sessions, Sequence) or not all(isinstance(session, Session) for session in sessions):
+        kind = type(sessions).__name__
+        raise InputError(
+            f"drift: expected a list of sessions or a data frame of means, got {kind}. Read each session with read_session."
+        )
     sessions = _check_sessions(sessions, calibration, settings)
     device = observe.nominal_models(sessions) if calibration is None else judge.without_tables(calibration)
     sessions = [observe.in_units_of(session, device) for session in sessions]

@@ -33,7 +33,8 @@ def isolated(parse: Callable[..., Any], path: Path, *arguments: Any) -> Any:
                 f"{path}: the parser did not finish in {limit_s:.0f} s. Copy the file again."
             ) from error
         if not result.exists():
-            raise FileFormatError(f"{path}: the parser crashed (exit code {done.returncode}). Copy the file again.")
+            why = (done.stderr.decode(errors="replace").strip().splitlines() or [f"exit code {done.returncode}"])[-1]
+            raise FileFormatError(f"{path}: the parser crashed ({why}). Copy the file again.")
         parsed = pickle.loads(result.read_bytes())
     if isinstance(parsed, InputError):
         raise parsed
