@@ -164,10 +164,8 @@ MATRIX_DIFFERENCE = 0.05  # relative difference between the matrices of single r
 START_RIDGE = 1e-3  # weight of the nominal matrix at the start, as a share of the largest power of the rates
 USUAL_RESIDUAL = 5e-3  # rad, of a window, before the first solution
 WINDOWS_S = (2.0, 4.0, 8.0, 16.0, 16.0, 16.0)  # of the fits: over 2 s errors of raw readings stay below 0.5 rad
-WANTED_PERCENT, WANTED_REST_DPS = (
-    (0.2, np.inf),
-    0.03,
-)  # limits of the uncertainty of M and of the spread of the rest offsets
+WANTED_PERCENT = (0.2, np.inf)  # limits of the uncertainty of M
+WANTED_REST_DPS = 0.03  # largest spread of the rest offsets
 RECORD_LONGER = "Record longer: turn about every axis, and rest on all six sides of the device."
 
 

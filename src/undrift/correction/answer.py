@@ -40,7 +40,7 @@ TASK_S = (5.0, 60.0)  # one sit-to-stand, and a minute of them
 REST_S = 5.0
 LEAN, TURN = 45.0 * RADIAN_PER_DEGREE, 10.0 * RADIAN_PER_DEGREE
 WITHIN_K = UNKNOWN_K  # distance from the temperature of the calibration up to which the answer holds
-# rad, error that a clinic accepts: J. L. McGinley et al., Gait and Posture 29, 360-369, 2009
+# rad, error that a clinic accepts: J. L. McGinley et al., Gait and Posture 29, 360-369, 2009 [figure not compared]
 ACCEPTED = 2.0 * RADIAN_PER_DEGREE
 OF_CASE = ("six-face", "reference")  # methods of accelerometers that determine the axes of the case
 NORMAL_95 = 1.96

@@ -209,8 +209,8 @@ def _first_rests(record: Record, what: str) -> tuple[Still, ...]:
 # ``ageing``       of the offsets since the calibration, and their repeatability from one switch-on to the next
 # ``codes``        half a step, uniform, if the readings at rest scatter by less, because their mean then has the same error
 
-# m/s2 after a year: bias repeatability for a year, MTi 10- and 100-series (Xsens MT0605P). That other devices age
-# in the same way, with the square root of the time, is [assumed]
+# m/s2 after a year: bias repeatability for a year, MTi 10- and 100-series (Xsens MT0605P) [figure not compared]. That other devices
+# age in the same way, with the square root of the time, is [assumed]
 AGEING = 0.03
 TURN_ON = 5e-4 * STANDARD_GRAVITY  # m/s2, from one switch-on to the next [assumed]
 UNKNOWN_K = 5.0  # K, distance for an unknown temperature, within which constant offsets are assumed to apply [assumed]

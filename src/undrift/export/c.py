@@ -347,5 +347,5 @@ def write_c(calibration: Calibration, options: ExportOptions, name: str) -> Expo
 
 
 def utc_now() -> str:
-    """Return the current time in UTC, as in a comment."""
+    """Return the current time in UTC, such as 2026-11-30T12:00:00Z."""
     return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")

@@ -126,7 +126,7 @@ def sniff(path: object) -> Text:
     body = lines[len(lines) // 2 :] or lines
     delimiter, decimal = marks_of(lines)
     width = max(len(_cells(line, delimiter)) for line in body)
-    # a line that a terminal program puts before the rows may have their commas, and nothing between them
+    # the banner of a terminal program may have as many commas as the rows, with empty cells
     skip = next((k for k, line in zip(at, lines, strict=True) if _filled(line, delimiter, width)), 0)
     first = _cells(raw[skip], delimiter, decimal)
     header = not all(is_number(cell, empty=True) or is_date(cell) for cell in first)
@@ -394,7 +394,7 @@ def _order_of(time: FloatArray) -> str:
 
 
 def _unit_of(channel: str, *names: str) -> str:
-    """Return the unit that the names of columns state, "?" if they state none."""
+    """Return the unit in the names of columns, or "?" without one."""
     label = label_of(names[0])
     if label is not None and label.unit and label.gain == 1.0 and label.channel == channel:
         return label.unit
@@ -421,9 +421,8 @@ def _units_by_size(table: ForeignTable, columns: dict[str, list[Column]]) -> dic
             proposed["gyro"] = ("count", f"whole numbers up to {largest:.4g}")
         elif not whole and (largest >= _RATE["dps"][0] or _least_spread(gyro) < _SPREAD_RAD_S):
             add("gyro", largest, _RATE, "the largest rate")
-    if (
-        "time" in readings and (step := float(np.median(np.diff(readings["time"][:, 0])))) != 1.0
-    ):  # of a counter, or 1 ms
+    step = float(np.median(np.diff(readings["time"][:, 0]))) if "time" in readings else 1.0
+    if step != 1.0:  # of a counter, or 1 ms
         add("time", step, _STEP, "the median step")
     if "temp" in readings and not np.array_equal(readings["temp"], np.round(readings["temp"])):
         add("temp", float(np.median(readings["temp"])), {"degC": _TEMP_C}, "the median")

@@ -194,9 +194,7 @@ _TOPICS = ["sensor_combined", "sensor_gyro", "sensor_accel"]
 
 def _ulog(path: Path, how: ColumnMap) -> RawTable:
     content, at = read_bytes(path), 16
-    while (
-        at + 3 <= len(content) and not how.drop_bad_rows
-    ):  # the library reads a log whose last message is cut without an error
+    while at + 3 <= len(content) and not how.drop_bad_rows:  # the library accepts a log whose last message is cut
         size, kind = struct.unpack_from("<HB", content, at)
         if kind == ord("B") and struct.unpack_from("<Q", content, at + 19)[0]:
             at = len(content)  # appended data has a place of its own

@@ -86,7 +86,7 @@ def file_stem(session: CalibrationSession) -> str:
 
 
 def _answer(outcome: StudyOutcome) -> str:
-    """Return the cheapest session for all tasks, each with the targets for which it is enough."""
+    """Return a sentence that names, for each target, the cheapest session that reaches it in all tasks."""
     several = "all tasks" if len(outcome.tasks) > 1 else name_of(outcome.tasks[0])
     targets = dict[str, list[Answer]]()
     for answer in outcome.for_all:

@@ -292,9 +292,8 @@ class Operator(Protocol):
 
 LOOKS = 15  # number of readings of the thermometer per window
 FIRST_LOOK_S = 2.0  # time until the first reading, which detects a thermometer, table s
-AFTER_AIR_S = (
-    600.0  # soak of a device without thermometer after the air is steady, table s: five typical time constants
-)
+# soak of a device without thermometer after the air is steady, table s: five typical time constants
+AFTER_AIR_S = 600.0
 
 
 class BoardWatch:

@@ -198,7 +198,7 @@ class MotionEntry(Posed):
 
     file: str = ""  # file of poses or markers, relative to study.toml
     folder: str = ""  # alternative: folder with one file per person
-    # alternative: CSV table with columns file (relative to the table) and person (one or more files each)
+    # alternative: CSV table with the columns file (relative to the table) and person. A person may have several files
     table: str = ""
 
 

@@ -152,7 +152,7 @@ def decide_between(errors: FloatArray, others: FloatArray, *, margin: float, tes
         )
     difference, interval = mean_interval(others - errors)
     uncertainty = (others - errors).std(ddof=1) / np.sqrt(n)
-    # better and worse are the two tails of one test, equivalent is two one-sided tests
+    # better and worse: the two tails of one test; equivalent: two one-sided tests
     two_sided, one_sided = (float(stdtrit(n - 1, 1.0 - p / tests) * uncertainty) for p in (0.5 * LEVEL, LEVEL))
     verdict: Verdict95 = "not decidable"
     if difference - two_sided > margin:

@@ -84,7 +84,7 @@ def turned(record: Record, matrix: FloatArray) -> Record:
 
 
 def common_rates(record: Record, poses: Reference, lag_s: float) -> tuple[FloatArray, FloatArray]:
-    """Return the rates of device and reference about their means, (K, 3) each, over the steps that both have seen."""
+    """Return the rates of device and reference minus their means, (K, 3) each, for the steps that both contain."""
     rates = pose_rates(poses)
     gyro = np.empty((0, 3)) if record.gyro is None else record.gyro
     mean, inside = RunningIntegral(record.time, gyro).mean(rates.start + lag_s, rates.stop + lag_s)
