@@ -23,7 +23,7 @@ def test_every_triad_has_a_panel_with_its_unit_and_names(triads):
     for name, unit in (("gyro", "rad/s"), ("accel", "m/s2")):
         assert (f"Allan deviation ({unit})" in text) == (name in triads)
         assert (f"{name} y" in text) == (name in triads)
-    for label in ("averaging time (s)", "rest: Allan deviation, lines: fitted model, band: 95 %"):
+    for label in ("averaging time (s)", "rest: Allan deviation, lines: observable terms of the model, band: 95 %"):
         assert label in text
     assert "nan" not in re.sub(r"[a-zA-Z]nan|nan[a-zA-Z]", "", text)
     assert svg_of(draw_allan(found, title="rest: Allan deviation")) == text

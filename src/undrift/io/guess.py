@@ -103,7 +103,8 @@ class MapProposal:
         all_units = self.units | given
         why = dict.fromkeys(self.units, "by the name of its column")
         why |= {key: f"proposed by {reason}" for key, reason in self.reasons.items()} | dict.fromkeys(given, "as given")
-        why |= {key: "not determined by name or readings: enter the unit" for key, x in all_units.items() if x == "?"}
+        unknown = "not determined by name or readings: check the channel, and enter the unit"
+        why |= {key: unknown for key, x in all_units.items() if x == "?"}
         head = [f"# How {Path(path).name} is read. The keys are explained in docs/maps.md. Check each unit."]
         head += [f"# {key}: {unit}, {why[key]}" for key, unit in all_units.items()]
         return "\n".join([*head, *replace(self, rate=rate, units=all_units, reasons={}).lines()]) + "\n"

@@ -485,7 +485,7 @@ def draw_allan(fit: "NoiseFit", *, title: str = "Overlapping Allan deviation") -
             panel.plot(taus_s, np.sqrt(sum(axis.terms(taus_s).values())), **axis_style(k), linewidth=0.9)
         panel.set(xscale="log", yscale="log", ylabel=f"Allan deviation ({getattr(fit, f'{name}_unit')})")
         legend_above(panel)
-    entitle(figure, f"{title}, lines: fitted model, band: 95 %")
+    entitle(figure, f"{title}, lines: observable terms of the model, band: 95 %")
     panels[-1].set_xlabel("averaging time (s)")
     return figure
 
@@ -509,7 +509,7 @@ def draw_allan_fit(fit: "NoiseFit", triad: str, terms: Mapping[str, str]) -> "Fi
         taus_s = axis.curve.taus_s
         parts, low = axis.terms(taus_s), float(np.nanmin(axis.curve.lower))
         total = np.sqrt(sum(parts.values()))
-        panel.plot(taus_s, total, color=OPTICS, linewidth=0.9, label="model")
+        panel.plot(taus_s, total, color=OPTICS, linewidth=0.9, label="sum of the terms")
         for name, (dash, marker, term_tau_s) in dashes.items():
             if (line := np.sqrt(parts[name])).any():
                 at = float(taus_s[total.argmin()]) if term_tau_s is None else term_tau_s
