@@ -458,7 +458,7 @@ def _findings(model: TriadModel, nominal: FloatArray, rests: Sequence[FloatArray
 
 
 def scale_keeps_prior(triad: str, axes: tuple[str, ...], uncertainty: float, action: str) -> Finding:
-    """Return a finding about scale factors that the motion does not determine, with the uncertainty that remains."""
+    """Return a finding about scale factors that the motion hardly determines, with the uncertainty that remains."""
     percent = f"{100.0 * uncertainty:.2g} %"
-    sentence = f"The motion does not determine the scale of the {triad} for {', '.join(axes)}: +- {percent} (1 sigma) is assumed."
+    sentence = f"The motion determines the scale of the {triad} for {', '.join(axes)} only to +- {percent} (1 sigma)."
     return finding("motion.prior", "warn", sentence, action, axes=axes)

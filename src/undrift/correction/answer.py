@@ -31,7 +31,7 @@ from undrift.arrays import FloatArray
 from undrift.correction.motion import CALIBRATED_RATE
 from undrift.correction.plan import force_uncertainty
 from undrift.correction.rest import UNKNOWN_K, UNKNOWN_YEARS, calibrated_force_covariances, moved_by
-from undrift.fit.priors import G_SENSITIVITY, GYRO_CROSS_AXIS, GYRO_FLICKER, GYRO_NOISE
+from undrift.fit.priors import CROSS_AXIS, G_SENSITIVITY, GYRO_FLICKER, GYRO_NOISE
 from undrift.model import AXES, G_NAMES, MATRIX_NAMES, Calibration, TriadModel
 from undrift.record import TemperatureSensitivity
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -108,7 +108,7 @@ def _tilt_variance(calibration: Calibration, accel: TriadModel, away_k: float) -
         force = STANDARD_GRAVITY * np.eye(3)[up]
         parts = calibrated_force_covariances(error, force, calibration.reference_temp_c + away_k, UNKNOWN_YEARS)
         variance[p, k] = sum(part[forward, forward] for part in parts.values()) + error.step[forward] ** 2 / 12.0
-    of_case = 0.0 if accel.method.startswith(OF_CASE) else GYRO_CROSS_AXIS**2
+    of_case = 0.0 if accel.method.startswith(OF_CASE) else CROSS_AXIS**2
     return variance / STANDARD_GRAVITY**2 + of_case
 
 

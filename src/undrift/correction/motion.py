@@ -23,7 +23,7 @@ from undrift.arrays import FloatArray
 from undrift.correction.rest import LEAST_IN_MOTION_S, MOVED, RemainingOffset, moved_by
 from undrift.errors import InputError
 from undrift.fit.carried import CarriedMeans
-from undrift.fit.priors import GYRO_CROSS_AXIS, SCALE_FACTOR
+from undrift.fit.priors import CROSS_AXIS, SCALE_FACTOR
 from undrift.model import TriadModel
 from undrift.record import Record
 from undrift.segments import unpadded
@@ -167,7 +167,7 @@ def matrix_deviation(record: Record, model: TriadModel | None) -> FloatArray | N
     """Return the standard deviation of each element of E (3, 3) from data sheets, or None for a calibrated device."""
     if record.state == "corrected" and (model is None or model.covariance[:9, :9].any()):
         return None
-    return np.where(np.eye(3, dtype=bool), SCALE_FACTOR, GYRO_CROSS_AXIS)
+    return np.where(np.eye(3, dtype=bool), SCALE_FACTOR, CROSS_AXIS)
 
 
 def axis_moved_by(model: TriadModel | None) -> float:
