@@ -27,7 +27,7 @@ from undrift.calibration.reference import scale_keeps_prior
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.carried import MEAN_S, CarriedMeans
-from undrift.fit.priors import CROSS_AXIS, SCALE_FACTOR, SCALE_LIMIT
+from undrift.fit.priors import CROSS_AXIS, SCALE_FACTOR, SCALE_LIMIT, UNCERTAIN_PERCENT
 from undrift.fit.triad import TriadFit, triad_fit
 from undrift.model import Verdict
 from undrift.record import Record, Still
@@ -197,7 +197,7 @@ def fit_in_motion(
     sizes = sizes * np.sqrt((3.0 + KNOWN_FROM) / (1.0 + KNOWN_FROM))  # Student's t: sizes are known from few elements
     spread[:21] = np.repeat(np.maximum(sizes, ALLOWED), 3)
     covariance = np.linalg.inv((rows / spread[:, None] ** 2).T @ rows + motion / np.outer(wide, wide))
-    return _result(records, parts, x, covariance, Verdict.of(*_findings(x, covariance, sizes)))
+    return _result(records, parts, x, covariance, Verdict.of(*_findings(x, covariance)))
 
 
 def without_gaps(record: Record) -> list[Record]:
@@ -363,12 +363,11 @@ ADVICE = {
 }
 
 
-def _findings(x: FloatArray, covariance: FloatArray, sizes: FloatArray) -> Iterator[Finding]:
-    """Yield findings about scale factors that the motion determines no better than their usual spread, or that are implausible."""
-    for triad, first, size in (("gyroscope", 0, sizes[0]), ("accelerometer", 9, sizes[2])):
+def _findings(x: FloatArray, covariance: FloatArray) -> Iterator[Finding]:
+    """Yield findings about scale factors that the motion hardly determines, or that are implausible."""
+    for triad, first in (("gyroscope", 0), ("accelerometer", 9)):
         spread = np.sqrt(np.diag(covariance))[first + SCALES]
-        axes = tuple(axis for axis, hidden in zip("xyz", spread > size, strict=True) if hidden)
-        if axes:
+        if axes := tuple("xyz"[k] for k in np.flatnonzero(100.0 * spread > UNCERTAIN_PERCENT[0])):
             yield scale_keeps_prior(triad, axes, float(spread.max()), ADVICE[triad])
         if (deviation := float(np.abs(1.0 / x[first + SCALES] - 1.0).max())) > SCALE_LIMIT:
             yield finding(
