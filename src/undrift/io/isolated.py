@@ -13,7 +13,7 @@ from undrift.base.workers import has_threads
 from undrift.errors import FileFormatError, InputError
 from undrift.files import bytes_in
 
-LIMIT_S, SECOND_PER_MEGABYTE = 120.0, 1.0
+LIMIT_S, SECOND_PER_MEGABYTE = 30.0, 1.0
 
 
 def isolated(parse: Callable[..., Any], path: Path, *arguments: Any) -> Any:
