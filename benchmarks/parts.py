@@ -1,12 +1,13 @@
 """What to expect of a part, from its preset: writes docs/parts.md.
 
-``python -m benchmarks.parts [KIND ...] [--devices 20]`` lets simulated people stand up and sit down for 15 minutes with simulated
-devices, and compares the pitch of the gyroscopes with the true pitch, without correction and after short calibrations. The board
-is 10 to 15 K warmer than the room.
+``python -m benchmarks.parts [KIND ...] [--devices 20] [--measured]`` lets simulated people stand up and sit down for 15 minutes with
+simulated devices, and compares the pitch of the gyroscopes with the true pitch, without correction and after short calibrations.
+The board is 10 to 15 K warmer than the room. The files of docs/parts/ are measured parts; ``--measured`` writes only their table.
 """
 
 import argparse
 import sys
+import tomllib
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -37,6 +38,7 @@ from undrift.study.sessions import ROOM_TEMP_C, SESSIONS
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 PAGE = Path(__file__).parents[1] / "docs" / "parts.md"
+MEASURED = PAGE.with_suffix("")  # a file for each measured part
 RATE_HZ, REST_S, TIMES_S = 100.0, 10.0, (60.0, 900.0)
 TURNS_OF = "hand", "hand, warm"
 COLUMNS = "raw", "rest offset", "by hand", "by hand, warm"
@@ -124,23 +126,49 @@ TAIL = """
 A dash means that some devices could not be calibrated.
 Each figure of a part has its source in the [device model](device-model.md).
 For an orientation that does not drift, use `undrift orient --method vqf`, which needs accelerometers during the motion.
-
-Real devices are in [Real data](real.md).
 """
+MEASURED_HEAD = """
+## Measured parts
+
+The table shows the mean angle between the orientation by the gyroscopes and a truth, in deg, at the end of real recordings.
+"By motion" and "by optics" are calibrations by other recordings of the same device.
+To add a part, copy the form below, replace every value, and open an issue with it.
+
+| part | devices | recordings | length | motion | raw | rest offset | by hand | by motion | by optics | source |
+| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |
+"""
+KINDS_OF_ERROR = "raw", "rest_offset", "by_hand", "by_motion", "by_optics"
+
+
+def measured() -> str:
+    """Return the table of measured parts."""
+    lines = []
+    for path in sorted(MEASURED.glob("*.toml")):
+        part = tomllib.loads(path.read_text(encoding="utf-8"))
+        errors = [f"{part['error_deg'][kind]:.3g}" if kind in part["error_deg"] else "–" for kind in KINDS_OF_ERROR]
+        cells = [f"{part[key]}" for key in ("part", "devices", "recordings")]
+        cells += [f"{part['seconds']:g} s", part["motion"]]
+        lines.append(f"| {' | '.join([*cells, *errors, part['source']])} |\n")
+    form = (MEASURED / "broad.toml").read_text(encoding="utf-8")
+    return f"{MEASURED_HEAD}{''.join(lines)}\n```toml\n{form}```\n"
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("kinds", nargs="*", default=[*PRESETS])
     parser.add_argument("--devices", type=int, default=20)
+    parser.add_argument("--measured", action="store_true", help="only the table of measured parts")
     given = parser.parse_args()
+    if given.measured:
+        PAGE.write_text(PAGE.read_text().partition(MEASURED_HEAD[:20])[0] + measured())
+        return 0
     columns = " | ".join(f"{column}, {end / 60.0:g} min" for end in TIMES_S for column in COLUMNS)
     page = HEAD.format(devices=given.devices, columns=columns, rules=" --- |" * 8)
     for kind in given.kinds:
         for row in rows_of(kind, given.devices):
             print(row, flush=True)
             page += row + "\n"
-    PAGE.write_text(page + TAIL)
+    PAGE.write_text(page + TAIL + measured())
     return 0
 
 
