@@ -1,8 +1,8 @@
 """What to expect of a part, from its preset: writes docs/parts.md.
 
-``python -m benchmarks.parts [KIND ...] [--devices 20] [--measured]`` lets simulated people stand up and sit down for 15 minutes with
-simulated devices, and compares the pitch of the gyroscopes with the true pitch, without correction and after short calibrations.
-The board is 10 to 15 K warmer than the room. The files of docs/parts/ are measured parts; ``--measured`` writes only their table.
+``python -m benchmarks.parts [KIND ...] [--devices 20] [--measured]`` lets simulated people stand up and sit down for 15 minutes
+with simulated devices, and compares the pitch of the gyroscopes with the true pitch, without correction and after short
+calibrations. The board is 10 to 15 K warmer than the room. docs/parts/ has measured parts; ``--measured`` writes only their table.
 """
 
 import argparse
