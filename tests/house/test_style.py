@@ -99,7 +99,7 @@ def test_no_path_of_this_machine_is_written_down() -> None:
 
 def test_recipe_and_citation_agree_with_the_project() -> None:
     recipe = (ROOT / "conda" / "recipe.yaml").read_text()
-    version = PROJECT["version"]
+    version = undrift.__version__
     assert f'version: "{version}"' in recipe
     assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text()
     listed = dict(re.findall(r"^    - ([\w-]+) (.+)$", recipe.partition("  run:\n")[2].partition("tests:")[0], re.M))
