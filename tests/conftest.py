@@ -3,6 +3,7 @@
 What modules share is computed once in a run, whichever processes run them; see ``testkit.remembered``.
 """
 
+import os
 import shutil
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
+from testkit.data import DATA
 from testkit.remembered import put_everywhere, remembered, run_folder
 
 settings.register_profile("same", deadline=None, derandomize=True)
@@ -26,6 +28,15 @@ def pytest_pyfunc_call() -> Generator[None, object, object]:
 @pytest.hookimpl(wrapper=True)
 def pytest_fixture_setup() -> Generator[None, object, object]:
     return (yield from skipped_without_gcc())
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say how many tests did not run because the real recordings are absent. GitHub shows it beside a green job."""
+    if not DATA.is_dir():
+        skipped = terminalreporter.stats.get("skipped", [])
+        count = sum("UNDRIFT_DATA" in str(report.longrepr) for report in skipped)
+        mark = "::warning::" if "GITHUB_ACTIONS" in os.environ else ""
+        terminalreporter.write_line(f"{mark}{count} tests were skipped: the real recordings are absent (UNDRIFT_DATA).")
 
 
 def skipped_without_gcc() -> Generator[None, object, object]:
@@ -68,7 +79,6 @@ def computed_once(shared: list[tuple[Callable[..., object], Callable[..., object
 @pytest.fixture(scope="module")
 def described_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Read, describe and search each public file once in a run of the suite, for modules with this fixture."""
-    from testkit.data import DATA
     from undrift.calibration.triads import find_disagreement
     from undrift.io.inspect import Description, describe
     from undrift.segments import find_poses
