@@ -137,9 +137,10 @@ def _origin(calibration: Calibration) -> Iterator[str]:
     if "stills" in settings:
         yield f"Still phases: {settings['stills']}. Faces: {settings['faces']}. Turns: {settings['turns']}."
     for triad in calibration.triads if calibration.adc is not None else ():
-        if triad.lsb is not None:
+        if triad.lsb is not None and triad.model is not None:
             steps = ", ".join(f"{step:.6g}" for step in triad.lsb)
-            yield f"Codes of the {NAMES[triad.sensor]}: step {steps}, rounded {triad.rounding.replace('_', ' ')}."
+            how = triad.rounding.replace("_", " ")
+            yield f"Codes of the {NAMES[triad.sensor]}: step {steps} {triad.model.unit_in}, rounded {how}."
 
 
 def _parts(calibration: Calibration) -> Iterator[str]:
