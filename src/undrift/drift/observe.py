@@ -388,7 +388,8 @@ def nominal_models(sessions: Sequence[Session]) -> Calibration:
         )
     if not is_physical(unit):
         raise NotObservable(
-            f"drift: gyroscope readings in {unit} have no known scale. Give `calibration`, or the scale of the columns."
+            f"drift: gyroscope readings in {unit} have no known scale. Give `calibration`, or enter unit and gain in the map. "
+            'Example for 16 bits over +-250 deg/s: gyro = "dps" in units, and scale = { gyro = { gain = 0.00763 } }.'
         )
     return Calibration(
         device=first.serial or first.records[0].device,
