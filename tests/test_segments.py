@@ -75,6 +75,17 @@ def test_held_poses_are_found():
         assert stop - 70 <= still.stop <= stop
 
 
+def test_rests_of_a_log_with_two_decimals_are_found():
+    readings = table(data_path("multipos_mpu9150", "imu2.log.gz"), delimiter=None)  # accel m/s2, gyro rad/s
+
+    def count(decimals):
+        rounded = np.round(readings, decimals)
+        record = Record(time=np.arange(len(readings)) / FS, gyro=rounded[:, 3:], accel=rounded[:, :3])
+        return len(find_still(record).stills)
+
+    assert count(2) == count(5) == 22
+
+
 def test_a_record_that_never_moves_is_one_still_phase():
     rng = np.random.default_rng(2)
     record = Record(time=np.arange(6000) / FS, gyro=rng.normal(3.0, 0.5, (6000, 3)), gyro_unit="count")

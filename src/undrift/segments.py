@@ -240,9 +240,7 @@ def _moments(record: Record, settings: StillSettings) -> list[_Moments]:
         if values is None:
             continue
         mean, spread = sliding_moments(values, window, smooth)
-        floor = _floor(spread)
-        if settings.threshold_floors is not None:
-            floor = max(floor, _rounding_spread(values, smooth))
+        floor = max(_floor(spread), _rounding_spread(values, smooth))  # rests in coarse codes repeat one code
         triads.append(
             _Moments(
                 channel=channel, unit=unit, values=values, mean=mean, spread=spread, floor=floor, window=window, smooth=smooth
