@@ -138,22 +138,23 @@ def rotation_by_level(record: Record, poses: Reference, motion: MotionSpan, *, l
 # ---- conventions of device and reference
 
 # Shares of the square of the rates that are left over: sound recordings leave 0.001 to 0.04 (BROAD, before calibration)
-UNLIKE, LEFT_OVER, EXPLAINED = 0.15, 0.5, 0.1
+UNLIKE, EXPLAINED = 0.15, 0.1
 TILTED, CLEARLY = 30.0 * RADIAN_PER_DEGREE, 60.0 * RADIAN_PER_DEGREE
 LENGTH = (0.8, 1.2)  # range of the length of u for matching attitudes and forces
 LEAST_RATE = 2.0 * RADIAN_PER_DEGREE  # smallest rms rate that exceeds the noise, rad/s
 
 
-def unexplained_share(record: Record, poses: Reference, lag_s: float) -> tuple[float, FloatArray]:
+def unexplained_share(record: Record, poses: Reference, lag_s: float) -> tuple[float, FloatArray | None]:
     """Return the share of the rates' square that no rotation between the bodies explains, and the best rotation (3, 3).
 
-    The share is NaN if the motion is too small to compare rates.
+    The share is NaN if the motion is too small to compare rates. The rotation is None if the motion is about one axis only.
     """
     u, w = common_rates(record, poses, lag_s)
-    r_mb = best_rotation(u, w)[0]
+    r_mb, singular, _ = best_rotation(u, w)
     total = 0.5 * float((w**2).sum() + (u**2).sum())
     enough = len(w) > 0 and math.sqrt(total / len(w)) >= LEAST_RATE
-    return float(((w - u @ r_mb.T) ** 2).sum()) / total if enough else math.nan, r_mb
+    share = float(((w - u @ r_mb.T) ** 2).sum()) / total if enough else math.nan
+    return share, r_mb if singular[1] > LEAST_SPREAD * singular[0] else None
 
 
 def check_reference(record: Record, poses: Reference, lag_s: float) -> tuple[Finding, ...]:
@@ -161,7 +162,7 @@ def check_reference(record: Record, poses: Reference, lag_s: float) -> tuple[Fin
     share, r_mb = unexplained_share(record, poses, lag_s)
     if math.isnan(share):
         return ()
-    if share > LEFT_OVER:
+    if share > UNLIKE:
         others = {
             "its quaternions turn level to body, not body to level": quaternion_conjugate(poses.q_nb),
             "its quaternions are x-y-z-w, not w-x-y-z": np.roll(poses.q_nb, 1, axis=1),
@@ -173,7 +174,6 @@ def check_reference(record: Record, poses: Reference, lag_s: float) -> tuple[Fin
         texts = [text for text in sorted(shares, key=lambda text: shares[text]) if shares[text] < EXPLAINED]
         if texts:
             raise _implausible(poses, ", or ".join(texts), "Convert them, or name their order in the map of the file.")
-    if share > UNLIKE:
         return (
             finding(
                 "validate.rates_differ",
@@ -183,7 +183,7 @@ def check_reference(record: Record, poses: Reference, lag_s: float) -> tuple[Fin
                 "Check that the reference belongs to this body and this trial.",
             ),
         )
-    if record.accel is None:
+    if record.accel is None or r_mb is None:
         return ()
 
     visible = poses.valid & (poses.time + lag_s >= record.time[0]) & (poses.time + lag_s <= record.time[-1])
@@ -192,7 +192,7 @@ def check_reference(record: Record, poses: Reference, lag_s: float) -> tuple[Fin
     up = rotate(poses.q_nb[visible][finite], force[finite] @ r_mb.T).mean(axis=0) / STANDARD_GRAVITY
     length = float(np.linalg.norm(up))
     angle = math.acos(float(np.clip(up[2] / max(length, 1e-9), -1.0, 1.0)))
-    if not LENGTH[0] < length < LENGTH[1] or angle < TILTED:
+    if not LENGTH[0] < length < LENGTH[1]:
         return ()
     k = int(np.abs(up).argmax())
     axis = f"{'+' if up[k] > 0.0 else '-'}{AXES[k]}"
@@ -200,12 +200,19 @@ def check_reference(record: Record, poses: Reference, lag_s: float) -> tuple[Fin
     if axis == "-z":
         text = "acceleration has the opposite sign, or its laboratory is mirrored (left-handed) or upside down"
     if angle > CLEARLY:
-        action = "Name the axis of the laboratory that points up (`reference_up`, or up in the map of a table)"
-        raise _implausible(poses, text, f"{action}, or correct the sign of the columns.")
+        raise _implausible(poses, text, f"{_NAME_UP}, or correct the sign of the columns.")
+    return check_vertical(angle, text)
+
+
+_NAME_UP = "Name the axis of the laboratory that points up (`reference_up`, or up in the map of a table)"
+
+
+def check_vertical(angle: float, text: str) -> tuple[Finding, ...]:
+    """Return a finding if the verticals of the device and of the reference clearly differ by an angle, rad."""
+    if not angle > TILTED:
+        return ()
     sentence = f"Gravity is {angle / RADIAN_PER_DEGREE:.0f} deg off the vertical of the reference: {text}."
-    return (
-        finding("validate.not_up", "warn", sentence, "Check the axis that points up, the columns and the mounting."),
-    )
+    return (finding("validate.not_up", "warn", sentence, f"{_NAME_UP}, or correct the columns or the mounting."),)
 
 
 def _implausible(poses: Reference, text: str, action: str) -> Implausible:

@@ -55,7 +55,7 @@ from undrift.segments import unpadded
 from undrift.shown import Shown
 from undrift.sync import LONGEST_LAG_S, Lag, MotionSpan, find_motion, in_step, native_poses, padding, seen_poses
 from undrift.units import RADIAN_PER_DEGREE, is_physical
-from undrift.validation.align import LEAD_S, REST_S, Align, Mounting, align, check_reference, turned
+from undrift.validation.align import LEAD_S, REST_S, Align, Mounting, align, check_reference, check_vertical, turned
 from undrift.validation.expected import ERROR_PRIOR, ErrorPrior, Expected, OffsetSource, Strapdown, expected_errors
 
 OffsetChoice = Literal["none", "rest", "motion"]
@@ -343,13 +343,16 @@ def validate_trial(
     moving = (reference.time >= start_s) & (reference.time < stop_s)
     if reference.moving is not None and (reference.moving > 0.0).any():
         moving = reference.moving > 0.0  # pauses left out
+    tilt = of_finite(np.median, error.inclination[reference.time < start_s])
+    frame_findings = frame_findings or check_vertical(tilt, "the axes differ at the rest before the motion")
     after = (reference.time >= stop_s) & (reference.time < stop_s + END_S)
     if not motion.rested:
         after = moving & (reference.time >= stop_s - END_S)
-        sentence = f"The recording has no rest before the motion: orientation starts at {track[0][0]:.1f} s from {START_S:g} s "
-        sentence += "of the "
+        sentence = (
+            f"There is no rest before the motion: the orientation at {track[0][0]:.1f} s is from {START_S:g} s of the "
+        )
         sentence += "reference, and end errors are from the last seconds of the motion."
-        rest_findings += (finding("validate.no_rest", "info", sentence, RECORD_REST),)
+        rest_findings += (finding("validate.no_rest", "info", sentence, "Record a pause at rest."),)
     compared = moving & np.isfinite(error.total)
     figures = Figures(
         lag_ms=lag.seconds * 1e3,
@@ -441,9 +444,6 @@ def _check_scale(name: str, lag: Lag) -> None:
         )
 
 
-RECORD_REST = "Record a pause at rest, or determine the offset from motion (`offset` motion)."
-
-
 def _without_offset(
     record: Record, offset: OffsetChoice, model: TriadModel | None
 ) -> tuple[Record, RemainingOffset | None, tuple[Finding, ...]]:
@@ -455,8 +455,10 @@ def _without_offset(
     except InputError as error:
         if error.numbers.get("missing") != "rest":
             raise
-        sentence = "The recording has no rest before the motion, so the offset of the gyroscopes is not removed."
-        return record, None, (finding("validate.no_rest", "warn", sentence, RECORD_REST),)
+        which = "offset of the gyroscopes is not removed" if model is None else "offset of the calibration is used"
+        sentence = f"The recording has no rest before the motion, so the {which}."
+        action = "Record a pause at rest, or determine the offset from motion (`offset` motion)."
+        return record, None, (finding("validate.no_rest", "warn", sentence, action),)
     return replace(record, gyro=np.asarray(record.gyro) - remainder.at(record.time)), remainder, ()
 
 
