@@ -500,6 +500,8 @@ class Session:
     mounting : str or None
         For a fit to references: "one" if device and reference body were mounted once for all recordings, "each" if a small
         rotation is fitted for each recording. None if unknown.
+    notes : tuple of str
+        Notes on the reading of the files.
 
     Examples
     --------
@@ -523,6 +525,7 @@ class Session:
     sensitivity: TemperatureSensitivity = TemperatureSensitivity()
     rate_table: RateTable = RateTable()
     mounting: Mounting | None = None
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.records:
@@ -551,7 +554,7 @@ def check_local_gravity(gravity_m_s2: float, what: str) -> None:
     if not 9.7 < gravity_m_s2 < 9.9:
         raise InputError(
             f"{what}: expected local gravity between 9.7 and 9.9 m/s2, got {gravity_m_s2:g}. "
-            "Give gravity_m_s2, or latitude_deg and height_m."
+            "Give `gravity_m_s2`, or `latitude_deg` and `height_m`."
         )
 
 

@@ -8,6 +8,7 @@ import pytest
 from undrift.errors import FileFormatError
 from undrift.io.formats import detect, read_counted, read_record
 from undrift.io.inspect import describe
+from undrift.io.phone import UNKNOWN_SIGN
 from undrift.io.session import session_from_files
 
 OFF, ON = "ios,1.36,{},false,17.5", "iOS,1.36,{},true,17.5"  # "Standardise Units & Frames"
@@ -118,6 +119,15 @@ def test_gyroscope_and_accelerometer_of_a_phone_given_together_are_one_recording
     for name in ("time", "gyro", "accel"):
         np.testing.assert_array_equal(getattr(record, name), getattr(whole, name))
     assert [name for name, _ in session.inputs] == ["TotalAcceleration.csv", "Gyroscope.csv"]
+    assert UNKNOWN_SIGN in session.notes
+
+
+def test_phone_without_gravity_in_its_acceleration_is_refused(tmp_path):
+    folder = phone(tmp_path, accel="Accelerometer.csv")
+    for path in (folder, zipped(folder, tmp_path / "walk.zip")):
+        with pytest.raises(FileFormatError, match=r"acceleration without gravity\. Record"):
+            read_record(path)
+        assert "acceleration without gravity" in describe(path).summary
 
 
 def test_a_damaged_accelerometer_of_a_phone_is_an_error(tmp_path):

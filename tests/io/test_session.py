@@ -126,7 +126,7 @@ def test_native_files_need_no_columns_and_files_side_by_side_are_joined(tmp_path
             'kind = "calibration" ', 'kind = "party"',
             "'calibration', 'thermal' or 'static'",
         ),
-        ("gravity_m_s2 = 9.80665", "latitude_deg = 40.0", "got only one of the last two"),
+        ("gravity_m_s2 = 9.80665", "latitude_deg = 40.0", "got the latitude only"),
         ("gravity_m_s2 = 9.80665", "gravity_m_s2 = 980.665", "between 9.7 and 9.9"),
         ('gyro = "dps"', 'gyro = "dsp"', r"line 5: \[\[recording\]\] 1: unit of rate:"),
         ('temp = "T"', 'tmp = "T"', r"line 8: \[\[recording\]\] 1, columns, tmp: this key is unknown"),

@@ -113,7 +113,12 @@ def calibrate(
         report,
         tables=[*report.tables, *tables],
         details=[*details, *report.details],
-        notes=[*report.notes, *_lacking(session, calibration), *([] if output else [NOT_WRITTEN])],
+        notes=[
+            *dict.fromkeys(session.notes),
+            *report.notes,
+            *_lacking(session, calibration),
+            *([] if output else [NOT_WRITTEN]),
+        ],
         figures=[*figures, *report.figures],
         written=[output] if output else [],
         next_command=("correct", recording, "--calibration", output, "-o", "corrected.parquet") if follows else (),

@@ -218,7 +218,7 @@ def foreign_kind(table: ForeignTable) -> str | None:
     if table.text.layout.header and not triples:
         return (
             f"a table without names of three axes ({', '.join(names[:8])}). A recording of an inertial sensor needs "
-            "a map by positions."
+            "a map by positions, for example gyro = [1, 2, 3], with header = false and skip_rows."
         )
     if len(table.names) < 3:
         return (

@@ -298,7 +298,8 @@ def describe(path: str | Path, column_map: ColumnMap | None = None, *, up: Up | 
         columns, proposal = error.numbers.get("names", ()), error.numbers.get("proposal")
         column_names = tuple(map(str, columns)) if isinstance(columns, tuple) else ()
         description = _not_read(path, name, column_names, str(error).removeprefix(f"{path}: "), missing=str(missing))
-        if missing == "readings" and is_poses(poses := propose(table := _contents(path, "csv"))):
+        in_table = missing == "readings" and not name.startswith("phone")
+        if in_table and is_poses(poses := propose(table := _contents(path, "csv"))):
             return replace(description, summary=_POSES, columns=table.names, proposal=poses)
         return replace(description, proposal=MapProposal(**proposal)) if isinstance(proposal, dict) else description
     description = describe_record(read, path=str(path), format_name=name)
@@ -405,7 +406,7 @@ def _needs(path: Path, name: str) -> Description | None:
         return _not_read(path, name, table.names, foreign)
     columns = tuple(f"{key} {array.shape}" for key, array in table.arrays) or table.names
     what = "arrays or columns" if table.text is None else "columns without names" if table.nameless else "columns"
-    needed = f"a table of {len(table.names)} {what}; needs a map with the true units, for example {', '.join(proposal.lines())}"
+    needed = f"a table of {len(table.names)} {what}, which needs a map with the true units"
     return replace(_not_read(path, name, columns, needed), proposal=proposal)
 
 
@@ -436,7 +437,7 @@ def _reference(path: Path, name: str, columns: ReferenceMap | None = None) -> De
         path=str(path),
         kind="reference",
         format=name,
-        summary=f"{len(reference)} poses at {reference.sample_rate_hz:.6g} Hz, {valid_count} seen{remark.rstrip(', ')}",
+        summary=f"{len(reference)} poses at {reference.sample_rate_hz:.6g} Hz, {valid_count} valid{remark.rstrip(', ')}",
         columns=names,
         gaps=len(reference) - valid_count,
         findings=tuple(_sampling(reference.time)),
@@ -452,7 +453,7 @@ def _markers(path: Path, name: str, up: Up | None) -> Description:
         if error.numbers.get("missing") != "up":
             raise
         markers = read_markers(path, up="z")
-        sentence, action = "The file does not state which axis points up.", 'State up = "y" or "z" to read it.'
+        sentence, action = "The file does not state which axis points up.", "Set `reference_up` to y or z."
         findings.append(finding("recording.up_axis", "warn", sentence, action))
     gap: BoolArray = np.any(np.isnan(markers.points), axis=2)
     never = [label for k, label in enumerate(markers.labels) if gap[:, k].all()]

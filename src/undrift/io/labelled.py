@@ -411,7 +411,6 @@ def _check_readings(sheet: Sheet, triples: Triples) -> None:
             f"{sheet.path}: expected accelerometer readings with gravity, got {free[0]!r}, acceleration without "
             "gravity. Record or export the acceleration with gravity.",
             missing="readings",
-            gravity_removed=True,
         )
     listing = ", ".join(repr(name) for name in sheet.names[:8] if name)
     raise FileFormatError(

@@ -9,7 +9,7 @@ itself.
 import csv
 import re
 import zipfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
@@ -22,7 +22,6 @@ from undrift.io.clock import onto_clock
 from undrift.io.column_map import AXES, ColumnMap, native_map
 from undrift.io.columns import RawTable, ReadResult, build_record, date_of, native_columns
 from undrift.io.labelled import Sheet, as_utf8, label_of, labelled, open_sheet, sheet_table
-from undrift.record import Record
 
 OPPOSITE_SIGN = "acceleration multiplied by -1: iOS reads -1 g along an axis that points up"
 UNKNOWN_SIGN = "the file does not give the sign of acceleration (iOS and Android differ). Export Metadata.csv too."
@@ -57,12 +56,7 @@ def read_phone_pair(gyro_file: Path, accel_file: Path, how: ColumnMap) -> RawTab
     """
     path, name, other = gyro_file.parent, gyro_file.name, accel_file.name
     gyro, gyro_start = _read_file(gyro_file, how)
-    try:
-        accel, accel_start = _read_file(accel_file, how)
-    except FileFormatError as error:
-        if not error.numbers.get("gravity_removed"):
-            raise
-        return _table_of(path, gyro.record, how, (*gyro.notes, str(error).removeprefix(f"{path}/")))
+    accel, accel_start = _read_file(accel_file, how)
     if accel.record.accel is None or gyro.record.gyro is None:
         raise FileFormatError(f"{path}: expected a gyroscope in {name} and an accelerometer in {other}, got others")
     later_s = (accel_start - gyro_start) / np.timedelta64(10**9, "ns") + accel.epoch_s - gyro.epoch_s
@@ -75,10 +69,7 @@ def read_phone_pair(gyro_file: Path, accel_file: Path, how: ColumnMap) -> RawTab
     notes = [f"{other} interpolated onto the time stamps of {name}"]
     notes += [f"{missing} samples in drop-outs of {other} are gaps"] * bool(missing)
     record = replace(overlap, accel=values, accel_unit=accel.record.accel_unit)
-    return _table_of(path, record, how, dict.fromkeys((*gyro.notes, *accel.notes, *notes)))
-
-
-def _table_of(path: Path, record: Record, how: ColumnMap, notes: Iterable[str]) -> RawTable:
+    notes = [*dict.fromkeys((*gyro.notes, *accel.notes, *notes))]
     names, columns = native_columns(record)
     own = native_map(names, how).but(gaps="keep", device=record.device)
     return RawTable(source=str(path), names=names, columns=columns, own=own, notes=tuple(notes))

@@ -54,7 +54,7 @@ from undrift.io.column_map import (
     map_of,
     read_toml,
 )
-from undrift.io.columns import build_record
+from undrift.io.columns import ReadResult, build_record
 from undrift.io.formats import read_counted, settled
 from undrift.io.parquet import write_parquet
 from undrift.io.phone import phone_pair, read_phone_pair
@@ -171,12 +171,13 @@ def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
     stated, text = read_toml(SessionFile, path)
     _check_seal(path, text)
     inputs = [(path.name, sha256_of(path))]
-    records, stills, turns = list[Record](), list[Still](), list[Turn]()
+    read, records, stills, turns = list[ReadResult](), list[Record](), list[Still](), list[Turn]()
     for number, entry in enumerate(stated.recording):
         names = files_of(entry)
         with _at(path, text, "recording", number):
             how = entry.beside(path.parent)
-            records.append(_read_recording(path.parent, names, how if clock is None else how.but(clock=clock)))
+            read.append(_read_recording(path.parent, names, how if clock is None else how.but(clock=clock)))
+            records.append(read[-1].record)
             digests = [(name, sha256_of(path.parent / name)) for name in names if (path.parent / name).is_file()]
             if entry.sha256 and entry.sha256 not in (digest for _, digest in digests):
                 raise FileFormatError(
@@ -205,6 +206,7 @@ def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
             rate_table=stated.rate_table,
             sensitivity=stated.temperature,
             mounting=head.mounting,
+            notes=tuple(note for result in read for note in result.notes),
         )
 
 
@@ -234,7 +236,8 @@ def session_from_files(
         wanted = "one recording or more" if width == 1 else f"{width} files for each recording, as the map has tables"
         raise InputError(f"session: expected {wanted}, got {len(files)}. Name them.")
     names = [str(file) for file in files]
-    records = [_read_recording(Path(), names[at : at + width], how) for at in range(0, len(files), width)]
+    read = [_read_recording(Path(), names[at : at + width], how) for at in range(0, len(files), width)]
+    records = [result.record for result in read]
     gravity_m_s2, source = gravity_of(gravity_m_s2, latitude_deg, height_m)
     return Session(
         kind=kind,
@@ -244,6 +247,7 @@ def session_from_files(
         inputs=tuple((Path(name).name, sha256_of(name)) for name in names if Path(name).is_file()),
         file_map=_shared_map([how]),
         gravity_source=source,
+        notes=tuple(note for result in read for note in result.notes),
     )
 
 
@@ -263,7 +267,7 @@ def _shared_map(maps: Sequence[ColumnMap]) -> FileMap | None:
     return texts[0] if texts[0].text != "{}" and texts.count(texts[0]) == len(texts) else None
 
 
-def _read_recording(folder: Path, names: list[str], how: ColumnMap) -> Record:
+def _read_recording(folder: Path, names: list[str], how: ColumnMap) -> ReadResult:
     """Read the file of a recording, or the files side by side that make it."""
     maps = how.parts()
     if maps and len(maps) != len(names):
@@ -277,15 +281,15 @@ def _read_recording(folder: Path, names: list[str], how: ColumnMap) -> Record:
             f"{', '.join(sorted(unused))} cannot be used without columns. Add columns, or omit these keys."
         )
     if not maps and (pair := phone_pair([folder / name for name in names])):
-        return settled(build_record(read_phone_pair(*pair, how)), how).record
+        return settled(build_record(read_phone_pair(*pair, how)), how)
     if not names:
         raise InputError("file: expected one file or more, got an empty list")
     check_parts(how)
     joined: Record | None = None
     for name, part in zip(names, maps or (how,) * len(names), strict=True):
-        record = read_counted(folder / name, part if joined is None else part.but(temp_file=None)).record
-        joined = record if joined is None else _joined(joined, record, names[0], name)
-    return joined or record
+        read = read_counted(folder / name, part if joined is None else part.but(temp_file=None))
+        joined = read.record if joined is None else _joined(joined, read.record, names[0], name)
+    return replace(read, record=joined or read.record)
 
 
 def _joined(first: Record, record: Record, first_name: str, name: str) -> Record:
@@ -322,8 +326,8 @@ def gravity_of(
         return gravity_at(latitude_deg, height_m), "latitude and height"
     if place == (None, None):
         return (STANDARD_GRAVITY, "standard") if gravity_m_s2 is None else (gravity_m_s2, "stated")
-    got = "only one of the last two" if gravity_m_s2 is None else "both"
-    raise InputError(f"expected gravity_m_s2, or latitude_deg and height_m, got {got}. Enter local gravity once.")
+    got = "both" if gravity_m_s2 is not None else "the latitude only" if height_m is None else "the height only"
+    raise InputError(f"expected `gravity_m_s2`, or `latitude_deg` and `height_m`, got {got}. Enter local gravity once.")
 
 
 # ---- stills and turns: seconds and degrees in the file, samples and rad/s in a session
