@@ -13,7 +13,9 @@ from testkit.full_calibration import ROUNDINGS, STEPS, device, record, tables, w
 from undrift.correction.correct import correct
 from undrift.errors import InputError
 from undrift.export import ExportOptions
+from undrift.export.c import export_c
 from undrift.export.constants import write_constants
+from undrift.record import FileMap
 
 U = np.array([100.0, -200.0, 300.0])
 
@@ -47,6 +49,14 @@ def test_json_constants_correct_as_the_corrector_does():
         assert part in not_carried
     assert "g-sensitivity" not in not_carried
     assert "tables over temperature are read at 40 degC" in exported.notes
+
+
+def test_scale_of_the_map_is_noted():
+    gain = [0.1, 0.1, -0.1]
+    model = replace(device(), file_map=FileMap(json.dumps({"scale": {"accel": {"gain": gain, "offset": 0.0}}})))
+    note = f"accel: apply the scale of the map first, gain {gain} and offset 0.0"
+    assert note in write_constants(model, ExportOptions(), "a.json").notes
+    assert note in export_c(model).notes
 
 
 def test_c_header_holds_the_same_numbers(tmp_path):

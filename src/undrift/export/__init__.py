@@ -8,6 +8,7 @@ Input: a ``Calibration``, for readings in the device's unit and frame b. Output:
 m/s2, and the parts of the calibration that they do not contain. Open c first.
 """
 
+import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
@@ -58,6 +59,14 @@ def not_in_firmware(calibration: Calibration) -> tuple[str, ...]:
 def not_in_constants(calibration: Calibration) -> tuple[str, ...]:
     """Return the parts of a calibration that constants at one temperature do not contain."""
     return *_beyond_constants(calibration), *not_in_firmware(calibration)
+
+
+def conversions(calibration: Calibration) -> Iterator[str]:
+    """Yield the gains and offsets of the map, which the exported files do not apply."""
+    scales = {} if calibration.file_map is None else json.loads(calibration.file_map.text).get("scale", {})
+    for name, scale in scales.items():
+        if name != "temp":
+            yield f"{name}: apply the scale of the map first, gain {scale['gain']} and offset {scale['offset']}"
 
 
 def _beyond_constants(calibration: Calibration) -> Iterator[str]:

@@ -23,7 +23,7 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.correction.plan import Constants, LookupTable, TableAxis, constants_of
 from undrift.errors import InputError
-from undrift.export import Exported, ExportOptions, not_in_firmware
+from undrift.export import Exported, ExportOptions, conversions, not_in_firmware
 from undrift.model import SENSORS, Calibration
 from undrift.segments import TURNING_ABOVE, TURNING_HOLD_S, TURNING_MEAN_S
 from undrift.units import RADIAN_PER_DEGREE, SI_UNIT
@@ -231,7 +231,7 @@ def export_c(
     True
     """
     check_prefix(options.prefix)
-    notes: list[str] = []
+    notes = [*conversions(calibration)]
     prefix = options.prefix
     gyro, accel = _nominal_if_missing(calibration, notes)
     lead = lead_of(calibration)

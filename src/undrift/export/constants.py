@@ -16,7 +16,7 @@ import numpy as np
 from undrift.arrays import FloatArray, interpolated
 from undrift.correction.plan import Constants, LookupTable
 from undrift.errors import InputError
-from undrift.export import Exported, ExportOptions, not_in_constants
+from undrift.export import Exported, ExportOptions, conversions, not_in_constants
 from undrift.export.c import check_prefix, comment_text, triads_of
 from undrift.model import Calibration
 
@@ -78,6 +78,7 @@ def write_constants(calibration: Calibration, options: ExportOptions, name: str)
             notes.append(f"no {sensor} constants, because the calibration has no {sensor} model")
         else:
             notes.append(f"{sensor} readings are in {triad.unit_in}")
+    notes += conversions(calibration)
     if name.lower().endswith(".h"):
         notes.append("numbers are in single precision")
         text = _header(calibration, pair, options.prefix)
