@@ -31,7 +31,7 @@ UNITS = {
     "time": ("s", "ms", "us", "date"),
 }
 SENSORS = {"gyro": "gyroscopes", "accel": "accelerometers", "time": "time"}
-WALKED = "Each face must rest for some seconds. Gyroscopes also need full turns between rests."
+WALKED = "Each face must rest for some seconds. Full turns between rests also calibrate the gyroscopes."
 OFFSETS = {
     "none": "Nothing",
     "rest": "The mean of the first rest",
@@ -343,24 +343,29 @@ def calibrate_step(bench: Bench) -> None:
     ui.label(f"Calibrate from {item.name}").classes("heading")
     if item.kind == "recording":
         ui.label(WALKED)
-        field("Serial number", item, "serial", hint="from the file; change it if it is another")
-        number("Angle of its turns, deg (empty: none)", item, "turn_deg")
-    place_form(bench)
+        field("Serial number", item, "serial", hint="from the file; correct it if it is wrong")
+        number("Angle of each turn, deg (360 for full turns; empty: no turns)", item, "turn_deg")
+    keep_place = place_form(bench)
+
+    async def calibrate(**options: bool) -> None:
+        keep_place()
+        await bench.calibrate(item, **options)
+
     done = item.page("calibrate") is not None
-    action(bench, "Calibrate", lambda: bench.calibrate(item), main=not done)
+    action(bench, "Calibrate", calibrate, main=not done)
     with ui.expansion("Other ways"):
-        action(bench, "Calibrate the accelerometers only", lambda: bench.calibrate(item, accel_only=True))
+        action(bench, "Calibrate the accelerometers only", lambda: calibrate(accel_only=True))
         if item.kind == "recording":
             ui.label("From motion: turn the device slowly in your hand about every axis for one minute.")
-            action(bench, "Calibrate from its motion", lambda: bench.calibrate(item, motion=True))
+            action(bench, "Calibrate from its motion", lambda: calibrate(motion=True))
     if done:
         action(bench, "Correct recordings with it", lambda: bench.go("Use"), main=True)
         certificate_part(bench, item)
         result_part(bench, item, "calibrate")
 
 
-def place_form(bench: Bench) -> None:
-    """Ask for the place. The scale of the accelerometers cannot be more accurate than local gravity."""
+def place_form(bench: Bench) -> Callable[[], None]:
+    """Ask for the place, which determines local gravity. Return a function that keeps the entries."""
     gravity_m_s2, source = bench.place.gravity
     known = "not known, so standard gravity is assumed" if source == "standard" else f"gravity {gravity_m_s2:.4f} m/s2"
     typed = asdict(bench.place)
@@ -372,11 +377,11 @@ def place_form(bench: Bench) -> None:
         bench.set_place(Place(gravity_m_s2=typed["gravity_m_s2"], latitude_deg=latitude_deg, height_m=height_m))
 
     with ui.expansion(f"Place: {known}"):
-        ui.label("Without it, the scale of the accelerometers is known to 0.15 % only. Enter the latitude, or gravity.")
+        ui.label("Without it, the scale of the accelerometers may be off by 0.3 %. Enter the latitude, or gravity.")
         number("Latitude, deg (north is positive)", typed, "latitude_deg")
         number("Height above the sea, m (empty: 0)", typed, "height_m")
         number("Or gravity, m/s2", typed, "gravity_m_s2")
-        action(bench, "Keep the place", keep)
+    return keep
 
 
 def certificate_part(bench: Bench, item: Item) -> None:
