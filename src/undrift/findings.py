@@ -100,6 +100,11 @@ def above(
     return () if level == "info" else (finding(code, level, sentence, action, **values),)
 
 
+def two_digits(value: float) -> str:
+    """Return a number with two significant digits, and from 100 on without an exponent."""
+    return f"{value:.2g}" if value < 99.5 else f"{value:.0f}"
+
+
 def told_apart(value: float, form: str, limit: float) -> str:
     """Return a value by a form like ".2g", with more digits where its size would else be on another side of a limit's."""
     start, _, kind = form.partition(".")

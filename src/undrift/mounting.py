@@ -83,7 +83,7 @@ def find_mounting(records: Sequence[Record], place: Worn, movement: Movement = "
     tracks = [_track(record) for record in records]
     stance = _up(tracks)
     if stance is None:
-        return _undetermined("Up", f"nobody stands still and upright for {STANCE_S:g} s")
+        return _undetermined("Up", f"there is no upright stance of {STANCE_S:g} s")
     up, variances, basis = stance
     pieces = _pieces(tracks, up, movement)
     direction = _direction(pieces, up, SCATTER[movement]) if len(pieces) >= FEWEST[movement] else None

@@ -43,7 +43,7 @@ from undrift.correction.rest import (
     rests_from_first,
 )
 from undrift.errors import InputError, check_choices
-from undrift.findings import Finding, finding
+from undrift.findings import Finding, finding, two_digits
 from undrift.frames import integrate_strapdown, quaternion_conjugate, quaternion_product, rotate, rotation
 from undrift.io.dataframes import orientation_frame
 from undrift.kernels.attitude import filtered_attitude
@@ -368,7 +368,7 @@ def orient(
         q, findings = q if field_findings else _level_at(q, anchor, tilt.q_nb), findings + field_findings
     else:
         q = _both_ways(gyro, record.time, tilt.q_nb, anchor)
-        findings += (_expected_drift(record, anchor, uncertainty, rested=still is not None),)
+        findings += (_expected_drift(record, anchor, uncertainty, settings.offset, rested=still is not None),)
     if settings.mounting is not None:
         q = _segment_orientation(q, settings.mounting, anchor, magnetometer=settings.magnetometer)
     rest = None if still is None else slice(still.start, still.stop)
@@ -468,18 +468,19 @@ def _check_rest(record: Record, still: Still) -> tuple[Finding, ...]:
     )
 
 
-def _expected_drift(record: Record, anchor: int, uncertainty: float, *, rested: bool) -> Finding:
+def _expected_drift(record: Record, anchor: int, uncertainty: float, offset: str, *, rested: bool) -> Finding:
     """Return a finding with the expected error of strapdown at the end farther from the rest, or from the first sample."""
     time = record.time
     duration = max(float(time[-1] - time[anchor]), float(time[anchor] - time[0]))
     drift_deg, offset_dps = uncertainty * duration / RADIAN_PER_DEGREE, uncertainty / RADIAN_PER_DEGREE
     start = "the rest" if rested else "the first sample"
+    advice = "Subtract the offset (`offset` rest or motion), or use" if offset == "none" else "Use"
     return finding(
         "orient.drift",
         "warn" if uncertainty * duration > WARN_DRIFT else "info",
-        f"Expect a strapdown drift of {drift_deg:.2g} deg: the offset is uncertain by {offset_dps:.2g} deg/s, over "
+        f"Expect a strapdown drift of {two_digits(drift_deg)} deg: the offset is uncertain by {offset_dps:.2g} deg/s, over "
         f"{duration:.0f} s from {start} to the far end.",
-        "Subtract the offset (`offset` rest or motion), or use the filter (`method` vqf).",
+        f"{advice} the filter (`method` vqf).",
         drift_deg=drift_deg,
         offset_dps=offset_dps,
         duration_s=duration,

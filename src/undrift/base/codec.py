@@ -434,7 +434,8 @@ def json_of(path: Path, cls: type) -> Any:
             f"{path}: expected {_name_in_messages(_STORED[cls])} file, got {error.strerror}. Check the path."
         ) from error
     except (ValueError, RecursionError) as error:  # broken JSON, or text that is not UTF-8
-        raise FileFormatError(f"{path}: expected JSON, got {error}. Write the file again.") from error
+        kind = _name_in_messages(_STORED[cls])
+        raise FileFormatError(f"{path}: expected {kind} file, got no valid JSON ({error}). Check the path.") from error
 
 
 def _refuse_constant(name: str) -> float:

@@ -77,9 +77,6 @@ class Terminal(Screen):
 
     def _report_periodically(self) -> None:
         while not self._stop.wait(INTERVAL_S):
-            elapsed_s, share = time.monotonic() - self._start_s, self._share
-            remaining = "time left not known yet"
-            if share > 0.0:
-                remaining = f"about {elapsed_s * (1.0 - share) / share:.0f} s left ({100.0 * share:.0f} %)"
-            sys.stderr.write(f"undrift {self._command}: {self._task}, {elapsed_s:.0f} s so far, {remaining}\n")
+            state = f"{time.monotonic() - self._start_s:.0f} s so far ({100.0 * self._share:.0f} %)"
+            sys.stderr.write(f"undrift {self._command}: {self._task}, {state}\n")
             sys.stderr.flush()

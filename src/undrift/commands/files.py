@@ -19,7 +19,7 @@ from undrift.base.spoken import CALLED, option_of
 from undrift.correction.correct import correct_checked
 from undrift.errors import Implausible, InputError
 from undrift.files import sha256_of, write_whole
-from undrift.findings import Finding, finding
+from undrift.findings import Finding, Level, finding
 from undrift.io.column_map import ColumnMap, file_map_of, map_of, one_map, read_map, read_toml
 from undrift.io.formats import (
     detect,
@@ -339,10 +339,9 @@ def calibration_findings(model: Calibration | None) -> tuple[Finding, ...]:
     """Return one finding in place of those of a calibration whose verdict is not good."""
     if model is None or model.verdict.status == "good":
         return ()
-    status, count = model.verdict.status, sum(item.level != "info" for item in model.verdict.findings)
-    sentence = f"The verdict of the calibration is {status}, with {count} findings."
-    action = "Read them with the calibration (undrift info)."
-    return (finding("calibration.verdict", "fail" if status == "bad" else "warn", sentence, action),)
+    level: Level = "fail" if model.verdict.status == "bad" else "warn"
+    sentence = f"The verdict of the calibration is {model.verdict.status}."
+    return (finding("calibration.verdict", level, sentence, "Read its findings with undrift info."),)
 
 
 def worn_by(model: Calibration | None, forward: str | None, up: str | None) -> BodyMounting | None:

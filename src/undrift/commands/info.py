@@ -153,7 +153,7 @@ def content(description: Description, opening: Opening) -> Report:
     data |= {"units": dict(description.units), "summary": description.summary, "map": description.example}
     if description.kind == "calibration":
         report = calibration_report(read_calibration(path))
-        return replace(report, title=f"What {path.name} holds", answer=f"{answer}. {report.answer}", data=data)
+        return replace(report, title=f"Content of {path.name}", answer=f"{answer}. {report.answer}", data=data)
     findings, notes, figures, tables = list(_named(description)), list[str](), [], list[Table]()
     details = [Table(title="Columns", columns=("column",), rows=[(name,) for name in description.columns])]
     stills, at_rest = list[tuple[float, float]](), list[tuple[str, Cell, str]]()
@@ -168,14 +168,14 @@ def content(description: Description, opening: Opening) -> Report:
             Table(title="Still phases", columns=("recording", "start (s)", "stop (s)"), rows=rows, form=".2f")
         )
         pieces = () if observed is None else pieces_of(observed)
-        figures.append(lambda: draw_recording(session.records, pieces, title=f"{path.name}: found"))
+        figures.append(lambda: draw_recording(session.records, pieces, title=path.name))
     tables.append(_facts(description, len(stills), at_rest))
     if description.example:
         tables.append(_proposal(description))
     if description.kind == "device":
         tables.append(_device(path))
     return Report(
-        title=f"What {path.name} holds",
+        title=f"Content of {path.name}",
         answer=answer,
         tables=tables,
         details=details,
@@ -254,11 +254,11 @@ def _look(session: Session) -> tuple[Observed | None, str]:
 
 def _proposal(description: Description) -> Table:
     """Return the lines of the map that a table may need."""
-    rate = " and `sample_rate_hz`" if "sample_rate_hz = ?" in description.example else ""
+    rate = " with `sample_rate_hz`" if "sample_rate_hz = ?" in description.example else ""
     option = "`reference_map`" if _has_poses(description) else "`column_map`"
     note = (
-        f"Write these lines into map.toml (`write_map` map.toml{rate} does so and proposes units), replace each ?, and "
-        f"read the file with {option} map.toml."
+        f"`write_map` map.toml{rate} writes these lines. Check the units, replace each ?, and read the file with "
+        f"{option} map.toml."
     )
     return Table(title="Proposed map", columns=("map.toml",), rows=[(line,) for line in description.example], note=note)
 
@@ -302,8 +302,8 @@ def _write_map(description: Description, path: Path, units: dict[str, str | None
     """Write the map that a table seems to need, each unit with its reason."""
     if description.proposal is None:
         raise InputError(
-            f"{description.path}: expected a table that needs a map, got {description.kind} ({description.format}): "
-            f"{description.summary}. Omit --write-map."
+            f"{description.path}: no map can be proposed for a {description.kind} ({description.format}): "
+            f"{description.summary.rstrip('.')}. Omit --write-map."
         )
     text = description.proposal.text(description.path, sample_rate_hz=opening.sample_rate_hz, units=units)
     write_whole(path, text)

@@ -18,6 +18,7 @@ from undrift.commands.files import (
     named_columns,
     worn_by,
 )
+from undrift.findings import two_digits
 from undrift.io.write import ORIENTATION_WRITERS, files_of, write_orientation
 from undrift.orientation import Orientation, OrientSettings, magnetometer_not_calibrated
 from undrift.orientation import orient as find_orientation
@@ -121,7 +122,9 @@ def _answer(orientation: Orientation) -> str:
         return text
     worst, anchor = int(np.nanargmax(limit)), 0 if orientation.still is None else orientation.still.stop - 1
     after_s = abs(orientation.time[worst] - orientation.time[anchor])
-    return f"{text} After {after_s:.0f} s it is good to {limit[worst] / RADIAN_PER_DEGREE:.2g} deg (95 %)."
+    if limit[worst] >= np.pi:
+        return f"{text} After {after_s:.0f} s it is not known."
+    return f"{text} After {after_s:.0f} s it is good to {two_digits(limit[worst] / RADIAN_PER_DEGREE)} deg (95 %)."
 
 
 def _angles(orientation: Orientation) -> Table:

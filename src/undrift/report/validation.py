@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from undrift.findings import Finding
+from undrift.findings import Finding, two_digits
 from undrift.io.store import findings_json
 from undrift.model import Calibration
 from undrift.report.figures import draw_level_errors, draw_people_agreement, draw_validation, trial_figure
@@ -100,7 +100,7 @@ def _answer(compared: Comparison) -> str:
     before = compared.levels.errors[0].error_deg  # the first level is uncalibrated
     parts = [f"{np.nanmedian(before):.3g} deg raw"] if np.isfinite(before).any() else []
     if compared.calibration is not None or compared.offset_subtracted:
-        parts.append(f"{getattr(result.median, f'rmse_{quantity}_deg'):.2g} deg {_correction(compared)}")
+        parts.append(f"{two_digits(getattr(result.median, f'rmse_{quantity}_deg'))} deg {_correction(compared)}")
     over = f", median of {len(result.trials)} recordings" if len(result.trials) > 1 else ""
     answer = f"{quantity.capitalize()} error {', '.join(parts)} (rms over the motion{over})."
     within = [trial.within_expected for trial in result.trials if trial.within_expected is not None]
