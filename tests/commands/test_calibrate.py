@@ -8,13 +8,11 @@ import pytest
 from benchmarks.in_motion import pairs
 
 from testkit.command_line import row_of
-from testkit.data import needs_data, show
-from testkit.stepper_jig import turned
+from testkit.data import needs_data
 from undrift.correction.answer import pitch_limits
 from undrift.io.formats import write_record
 from undrift.io.session import write_session
 from undrift.io.store import read_calibration
-from undrift.record import Session
 from undrift.sim.device.presets import random_device
 from undrift.sim.sessions import simulate_session
 
@@ -43,25 +41,6 @@ def test_the_bench_is_calibrated_by_every_way_that_it_allows(undrift, bench, tmp
         assert undrift.good("calibrate", session, *words, "--json").json()["verdict"] in ("good", "marginal")
     turned = undrift.good("calibrate", session, "--latitude-deg", "45", "--json").json()
     assert turned["data"]["gyro"]["offset"] != told["data"]["gyro"]["offset"]
-
-
-@pytest.mark.parametrize(("sensor", "code"), [("bno", 0), ("lsm", 1)])
-def test_a_rate_table_about_one_axis_is_written_and_a_wrong_conversion_ends_with_one(undrift, tmp_path, sensor, code):
-    """Rimu_Test_Jig: the ST sensor was converted with 30.5 in place of 35 mdeg/s a code (SOURCE.md), the Bosch one well."""
-    record, turns = turned("giro_test_filt", sensor)
-    write_session(
-        Session(kind="calibration", serial="jig", gravity_m_s2=9.81, records=(record,), turns=turns), tmp_path / "s"
-    )
-    answer = undrift("calibrate", tmp_path / "s", "--details", "-o", tmp_path / "c.json")
-    assert answer.code == code
-    assert ("Gyroscope y is" in answer.out) == bool(code)
-    assert answer.out.startswith("Do not use" if code else "Not good enough")
-    assert "x, z" in answer.out  # axes without turns keep their nominal scale
-    made = read_calibration(tmp_path / "c.json").gyro
-    off = made.forward_matrix[1, 1] * np.pi / 180.0 - 1.0
-    show(f"{sensor}: scale of y off by", f"{100 * off:.2f} %", "0.4 % or -15 %")
-    assert abs(off) > 0.1 if code else abs(off) < 0.005  # never the identity in silence
-    assert made.standard_uncertainty[0] / made.matrix[0, 0] == pytest.approx(0.03, rel=0.1)
 
 
 def test_a_calibration_without_accelerometers_is_not_offered_for_correct_and_says_what_is_missing(undrift, tmp_path):

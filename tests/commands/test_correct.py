@@ -84,47 +84,6 @@ def test_workers_of_a_scheduler_write_the_same_bytes(undrift, bench, tmp_path):
         assert not (tmp_path / "part" / "torn.parquet").exists()
 
 
-@pytest.mark.parametrize("name", ["out.csv", "out.parquet"])
-def test_specific_force_that_no_motion_explains_is_refused_by_the_name_of_its_unit(undrift, bench, tmp_path, name):
-    """A file in m/s2 that says g reads 9.8 g; 2.5 times gravity from one shaken hard is told and written."""
-    record = read_record(bench / "trial.parquet")
-    command = ("--calibration", bench / "calibration.json", "-o", tmp_path / name)
-    for factor in (9.80665, 1 / 9.80665):
-        write_record(replace(record, accel=record.accel * factor), tmp_path / "wrong.parquet")
-        said = undrift.refused("correct", tmp_path / "wrong.parquet", *command)
-        assert "accelerometer: expected gravity" in said
-        assert "--map (units = { accel = ... })" in said
-        assert not (tmp_path / name).exists()
-    write_record(replace(record, accel=record.accel * 2.5), tmp_path / "hard.parquet")
-    assert "body at rest reads 1 g" in undrift.good("correct", tmp_path / "hard.parquet", *command).out
-    assert (tmp_path / name).exists()
-
-
-def test_the_offset_at_a_rest_is_subtracted_the_same_from_a_stream_and_at_once_and_stated(undrift, bench, tmp_path):
-    raw, known = read_record(bench / "trial.parquet"), read_record(bench / "corrected.parquet")
-    write_record(raw, tmp_path / "raw.csv")
-    words, rows = ("--calibration", bench / "calibration.json", "--offset", "rest"), []
-    for record, name in ((bench / "trial.parquet", "a.parquet"), (tmp_path / "raw.csv", "a.csv")):
-        told = undrift.good("correct", record, *words, "-o", tmp_path / name, "--json").json()
-        rows.append(told["data"])
-        made = read_record(tmp_path / name)
-        left = np.radians(rows[-1]["rest"]["offset_dps"])
-        np.testing.assert_allclose(known.gyro - made.gyro, np.tile(left, (len(raw), 1)), atol=1e-9)
-    start_s, stop_s = rows[0]["rest"]["rest_s"]
-    inside = (known.time >= start_s) & (known.time <= stop_s)
-    np.testing.assert_allclose(rows[0]["rest"]["offset_dps"], np.degrees(known.gyro[inside].mean(axis=0)), atol=1e-12)
-    assert rows[1]["rest"]["rest_s"] == pytest.approx(rows[0]["rest"]["rest_s"], abs=1e-6)
-    assert rows[1]["rest"]["offset_dps"] == pytest.approx(rows[0]["rest"]["offset_dps"], abs=1e-9)
-    assert 0.0 < max(rows[0]["rest"]["offset_uncertainty_dps"]) < 0.1
-    assert any("offset was subtracted" in note for note in told["notes"])
-    stated = json.loads((tmp_path / "a.csv.json").read_text())
-    assert stated["provenance"]["settings"]["offset"] == "rest"
-    corrected = ("orient", bench / "corrected.parquet", "--offset", "rest", "-o", tmp_path / "o.csv", "--json")
-    same = undrift.good(*corrected).data()  # orient's own option takes the same rest and the same rate
-    assert same["offset_dps"] == pytest.approx(rows[0]["rest"]["offset_dps"], abs=1e-12)
-    assert same["still_s"] == pytest.approx(rows[0]["rest"]["rest_s"])
-
-
 def test_a_rest_is_named_by_its_times_and_refused_where_there_is_none(undrift, bench, tmp_path):
     words = ("--calibration", bench / "calibration.json", "-o", tmp_path / "a.parquet")
     named = ("--rest-s", "0.5:1.5")

@@ -1,21 +1,13 @@
 """undrift demo: simulate, run, calibrate, drift and correct."""
 
-import errno
-import importlib
 import json
-import os
 from dataclasses import replace
-from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 from testkit.long_calls import long_call
 from undrift.io.session import read_session
-from undrift.model import Verdict
-from undrift.report import Table
-from undrift.rig.folder import disk_errors
-from undrift.study.virtual_bench import Check, bench_device, bench_plan, record_on_bench
+from undrift.study.virtual_bench import bench_device, bench_plan, record_on_bench
 
 
 @pytest.mark.slow
@@ -40,17 +32,6 @@ def short_plan():
     return replace(plan, bench=replace(plan.bench, faces=("+z",), axes=("z",)), thermal=thermal)
 
 
-def test_a_full_disk_under_its_table_is_no_run_to_resume(undrift, tmp_path, monkeypatch):
-    def full(*args, **words):
-        with disk_errors(tmp_path / "demo" / "bench"):
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(importlib.import_module("undrift.commands.demo"), "record_on_bench", full)
-    said = undrift.refused("demo", "--out", tmp_path / "demo", "--quick")
-    assert "(No space left on device). Free disk space and run the demo again" in said
-    assert "resume" not in said
-
-
 def test_a_bench_that_is_interrupted_keeps_what_was_done(tmp_path):
     def interrupt(what: str, share: float) -> None:
         if "dwelling" in what:
@@ -59,17 +40,3 @@ def test_a_bench_that_is_interrupted_keeps_what_was_done(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         record_on_bench(short_plan(), bench_device(), tmp_path, tell=interrupt)
     assert read_session(tmp_path / "bench").stills  # what was done is on the disk
-
-
-def test_a_failed_check_ends_with_one(tmp_path, monkeypatch):
-    demo = importlib.import_module("undrift.commands.demo")
-    worst = (Check(name="never", value=2.0, limit=1.0),)
-    figures = SimpleNamespace(max_abs_pitch_deg=1.0, rmse_pitch_deg=1.0, motion_s=1.0)
-    error = SimpleNamespace(pitch=np.zeros(2))
-    drift = SimpleNamespace(calibration=None, verdict=Verdict.of())
-    trials = (SimpleNamespace(recording="none", figures=figures, findings=(), error=error),) * 5
-    monkeypatch.setattr(demo, "calibration_json", lambda _: {})
-    monkeypatch.setattr(demo, "_bench", lambda _: Table(title="The simulated bench"))
-    report = demo._report(tmp_path, SimpleNamespace(), SimpleNamespace(drift=drift), trials, worst)
-    assert report.exit_code == 1
-    assert [item.code for item in report.findings] == ["demo.check"]

@@ -1,8 +1,6 @@
 """Where results may go: never over what is read, never into a folder that is not there, and whole or not at all."""
 
-import os
 import shutil
-import tempfile
 from pathlib import Path
 
 import pytest
@@ -38,37 +36,6 @@ def test_a_folder_of_the_name_of_the_result_is_left(undrift, bench, tmp_path, co
     output.mkdir()
     assert "got a folder" in undrift.refused(*words_of(command, bench, output))
     assert contents(tmp_path) == {output.name: None}
-
-
-@pytest.fixture
-def plain_user():
-    """A folder that all may read, and a user who is not root; the folder goes afterwards."""
-    folder = Path(tempfile.mkdtemp())
-    folder.chmod(0o755)
-    root = os.geteuid() == 0
-    yield folder
-    if root:
-        os.seteuid(0)
-    for path in (folder, *folder.rglob("*")):
-        path.chmod(0o755)
-    shutil.rmtree(folder)
-
-
-@pytest.mark.parametrize("command", WRITERS)
-def test_a_folder_that_may_not_be_written_is_one_line(undrift, bench, plain_user, command):
-    held = plain_user / "bench"
-    shutil.copytree(bench, held)
-    for path in (held, *held.rglob("*")):
-        path.chmod(0o755)
-    locked = plain_user / "locked"
-    locked.mkdir()
-    locked.chmod(0o555)
-    if os.geteuid() == 0:
-        os.seteuid(65534)
-    line = undrift.refused(*words_of(command, held, locked / f"result{WRITERS[command][1]}"))
-    assert "locked" in line
-    assert "ermission" in line
-    assert list(locked.iterdir()) == []
 
 
 def test_a_link_to_what_is_read_is_what_is_read(undrift, bench, tmp_path):

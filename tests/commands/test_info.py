@@ -78,18 +78,3 @@ def test_the_proposed_map_can_be_copied(undrift, tmp_path):
     text = text.replace('gyro = "?"', 'gyro = "dps"').replace('accel = "?"', 'accel = "g"').replace("= ?", "= 50")
     (tmp_path / "map.toml").write_text(text)
     assert undrift.good("info", tmp_path / "t.csv", "--map", tmp_path / "map.toml", "--json").data()["rows"] == 60
-
-
-def test_a_map_of_one_key_serves_own_names_and_an_option_overrules_it(undrift, tmp_path):
-    rows = "".join(f"{t},1,2,3\n" for t in (0.0, 0.01, 0.005, 0.02))
-    (tmp_path / "r.csv").write_text("time_s,gyro_x_dps,gyro_y_dps,gyro_z_dps\n" + rows)
-    (tmp_path / "map.toml").write_text("repair_time = true\n")
-    assert "repair_time = true in a map" in undrift.refused("info", tmp_path / "r.csv")
-    told = undrift.good("info", tmp_path / "r.csv", "--map", tmp_path / "map.toml", "--json").json()
-    assert told["data"]["rows"] == 3
-    assert told["data"]["problems"][0].startswith("1 rows were left out")
-    assert (told["findings"][0]["code"], told["findings"][0]["values"]["count"]) == ("recording.rows_left_out", 1)
-    (tmp_path / "gap.csv").write_text("time_s,gyro_x_dps,gyro_y_dps,gyro_z_dps\n0,1,2,3\n0.01,,2,3\n0.02,1,2,3\n")
-    assert 'gaps = "keep" in a map' in undrift.refused("info", tmp_path / "gap.csv")
-    (tmp_path / "keep.toml").write_text('gaps = "keep"\n')
-    assert undrift.good("info", tmp_path / "gap.csv", "--map", tmp_path / "keep.toml", "--json").data()["gaps"] == 1

@@ -111,12 +111,3 @@ def test_a_thermometer_of_another_clock_or_without_readings_is_refused(folder):
     (folder / "none.csv").write_text("time_s,temp_c\n7,NaN\n8,NaN\n")
     with pytest.raises(InputError, match=r"none.csv: temperature: expected one reading or more, got none"):
         read_counted(folder / "r.csv", ColumnMap(temp_file=TempFile(file=str(folder / "none.csv"))))
-
-
-def test_a_session_names_the_thermometer_of_a_recording(folder):
-    (folder / "session.toml").write_text(
-        '[session]\nkind = "thermal"\nserial = "A"\ngravity_m_s2 = 9.81\n'
-        '[[recording]]\nfile = "r.csv"\ntemp_file = { file = "t.csv" }\n'
-    )
-    (record,) = undrift.read_session(folder).records
-    np.testing.assert_allclose(record.temp_c, truth(record.time))

@@ -5,11 +5,9 @@ import tomllib
 import numpy as np
 import pytest
 
-from testkit.column_maps import reference_map
 from testkit.data import data_path
 from undrift.errors import FileFormatError, InputError
-from undrift.frames import rotate
-from undrift.io.column_map import ColumnMap, TextLayout
+from undrift.io.column_map import ColumnMap
 from undrift.io.columns import build_record
 from undrift.io.dialects import Dialect, dialects
 from undrift.io.formats import detect, read_counted, read_record, read_reference
@@ -286,14 +284,6 @@ def test_one_sensor_of_an_opensense_table_is_a_reference():
     assert "of each of 7 bodies" in found.summary
 
 
-def test_a_laboratory_with_y_up_is_turned_level():
-    path = data_path(*STO)
-    z_up, y_up = (read_reference(path, labels=["pelvis_imu"], up=up) for up in ("z", "y"))
-    np.testing.assert_allclose(
-        rotate(y_up.q_nb, np.eye(3)[0]), rotate(z_up.q_nb, np.eye(3)[0])[:, [0, 2, 1]] * [1, -1, 1]
-    )
-
-
 def test_an_opensense_table_wants_the_name_of_one_sensor():
     with pytest.raises(InputError, match=rf"expected the name of one body, got none. The file contains {IMUS}"):
         read_reference(data_path(*STO))
@@ -316,11 +306,3 @@ def test_quaternions_of_a_maker_are_read_with_the_map_that_info_proposes(tmp_pat
     poses = read_reference(path, read_reference_map(tmp_path / "map.toml"))
     assert len(poses) == 195
     assert poses.time[-1] == pytest.approx(351 / 60.0)  # the counter shows the 157 of 352 packets that were lost
-
-
-def test_quaternions_beside_readings_of_a_maker_are_read_with_a_map():
-    path = data_path("makers", "xsens_mtmanager", "skin_data_xsens.txt")
-    layout = TextLayout(delimiter="\t", skip_rows=5, header=False)  # rows end with a tab that the header lacks
-    poses = read_reference(path, reference_map(quaternion=(10, 11, 12, 13), sample_rate_hz=50.0, layout=layout))
-    level = rotate(poses.q_nb, read_record(path).accel).mean(axis=0)
-    np.testing.assert_allclose(level, [-0.06, -0.03, 9.75], atol=0.006)  # SOURCE.md

@@ -18,7 +18,6 @@ from testkit.column_maps import column_map
 from testkit.strategies import assert_same, few, one_line, records
 from testkit.trc_text import trc
 from undrift.errors import FileFormatError, InputError
-from undrift.files import read_bytes
 from undrift.io.column_map import ColumnMap
 from undrift.io.columns import two_rates
 from undrift.io.formats import FORMATS, detect, iter_record, outside_formats, read_counted, read_record, write_record
@@ -41,17 +40,6 @@ def test_what_is_written_reads_back_under_any_name(tmp_path_factory, record, end
     if (folder / f"r.{ending}.json").exists():  # frame, state and device of a CSV stand beside it
         shutil.move(folder / f"r.{ending}.json", folder / "renamed.dat.json")
     assert_same(read_record(folder / "renamed.dat"), record)
-
-
-@pytest.mark.slow
-@few
-@given(n=st.integers(2, 50), rows=st.integers(2, 20), ending=st.sampled_from(["parquet", "csv"]))
-def test_chunks_are_the_whole(tmp_path_factory, n, rows, ending):
-    path = tmp_path_factory.mktemp("door") / f"r.{ending}"
-    write_record(ramp(n), path)
-    chunks = list(iter_record(path, rows=rows))
-    assert all(2 <= len(chunk) <= rows + 1 for chunk in chunks)
-    np.testing.assert_array_equal(np.concatenate([chunk.gyro for chunk in chunks]), ramp(n).gyro)
 
 
 # header and sample sizes, start, end, and two samples of 16 bytes
@@ -182,17 +170,6 @@ def test_a_column_of_empty_cells_is_all_gaps(tmp_path):
     )
     with pytest.raises(InputError, match="a number in every row, got 2 empty"):
         read_counted(tmp_path / "r.csv", unmapped)
-
-
-def test_a_file_without_rights_is_one_line(tmp_path, monkeypatch):
-    (tmp_path / "r.csv").write_text("x")
-
-    def refuse(self, *args, **keys):
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr("pathlib.Path.open", refuse)
-    with pytest.raises(InputError, match="cannot be read: Permission denied"):
-        read_bytes(tmp_path / "r.csv")
 
 
 def test_a_single_slow_block_is_a_drop_out_and_not_a_second_rate():

@@ -52,13 +52,6 @@ def test_six_rows_of_an_array_are_accelerometers_and_gyroscopes(tmp_path):
     np.testing.assert_array_equal(record.gyro, GYRO)
 
 
-def test_three_rows_of_an_array_are_three_axes(tmp_path):
-    savemat(tmp_path / "a.mat", {"acc": ACCEL.T, "gyr": GYRO.T, "t": TIME})
-    record = read_as_proposed(tmp_path / "a.mat").record
-    np.testing.assert_array_equal(record.accel, ACCEL)
-    np.testing.assert_array_equal(record.gyro, GYRO)
-
-
 @pytest.mark.parametrize(("row", "stamp", "count"), [(100, TIME[99], N), (100, TIME[50], N - 49)])
 def test_a_map_of_stamps_that_repeat_or_step_back_is_read(tmp_path, row, stamp, count):
     time = TIME.copy()

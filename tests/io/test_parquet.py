@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from testkit.column_maps import column_map
-from testkit.strategies import assert_same, few, records
+from testkit.strategies import assert_same, few
 from undrift.errors import FileFormatError, InputError
 from undrift.io.formats import read_counted
-from undrift.io.parquet import ParquetWriter, iter_parquet, parquet_names, parquet_rows, write_parquet
+from undrift.io.parquet import ParquetWriter, iter_parquet, write_parquet
 from undrift.record import Record
 
 
@@ -23,17 +23,6 @@ def ramp(n, **more):
 
 def joined(chunks):
     return Record(time=np.concatenate([c.time for c in chunks]), gyro=np.concatenate([c.gyro for c in chunks]))
-
-
-@pytest.mark.slow
-@few
-@given(record=records(gaps=True))
-def test_a_record_comes_back_to_the_last_bit(tmp_path_factory, record):
-    path = tmp_path_factory.mktemp("parquet") / "r.parquet"
-    write_parquet(record, path)
-    assert_same(read_counted(path).record, record)
-    assert parquet_rows(path) == len(record)
-    assert parquet_names(path)[0] == "time_s"
 
 
 @pytest.mark.slow

@@ -5,18 +5,14 @@ import os
 from dataclasses import replace
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from pyarrow import csv, parquet
 
 from testkit.column_maps import column_map
 from testkit.strategies import assert_same, one_line
-from undrift.base.codec import entry_name, line_of
 from undrift.errors import FileFormatError, InputError
 from undrift.files import sha256_of
 from undrift.io.column_map import ChannelScale, ColumnMap, file_map_of, read_map
-from undrift.io.formats import iter_record, read_record
 from undrift.io.parquet import write_parquet
 from undrift.io.session import read_session, sealed, session_from_files, write_session
 from undrift.io.text import write_csv
@@ -361,17 +357,6 @@ def test_a_slip_is_named(tmp_path, old, new, kind, words):
         read_map(tmp_path / "map.toml")
 
 
-def test_lines_and_entries_are_found_in_the_text():
-    text = "[session]\nkind = 1\n[[still]]\nface = 2\n[[still]]\nstart_s = 1\nface = 3\n[[turn]]\nface = 4\n"
-    assert line_of(text, ("still", 1, "face")) == 7
-    assert line_of(text, ("still", 0)) == 3
-    assert line_of(text, ("still", 1, "none")) == 5
-    assert line_of(text, ("nowhere",)) == 1
-    assert entry_name(("still", 1, "face")) == "[[still]] 2, face"
-    assert entry_name(("session", "kind")) == "[session], kind"
-    assert entry_name(("columns",)) == "columns"
-
-
 def test_a_map_without_columns_says_what_own_names_leave_unsaid(tmp_path):
     path = tmp_path / "map.toml"
     path.write_text("repair_time = true\n")
@@ -382,16 +367,3 @@ def test_a_map_without_columns_says_what_own_names_leave_unsaid(tmp_path):
         path.write_text(text)
         with pytest.raises(InputError, match=f"expected one table of columns, got 0 and {got}. Add columns"):
             read_map(path)
-
-
-@pytest.mark.parametrize("name", ["r.csv", "r.parquet"])
-def test_rows_whose_time_goes_back_are_left_out_of_own_names_on_request(tmp_path, name):
-    time = np.array([0.0, 0.01, 0.02, 0.015, 0.03, 0.04])
-    table = pa.table({"time_s": time} | {f"gyro_{axis}_dps": time for axis in "xyz"})
-    (csv.write_csv if name == "r.csv" else parquet.write_table)(table, tmp_path / name)
-    with pytest.raises(InputError, match=r"Set repair_time = true in a map \(`column_map` FILE\)"):
-        read_record(tmp_path / name)
-    settings = ColumnMap(repair_time=True)
-    kept = [0.0, 0.01, 0.02, 0.03, 0.04]
-    np.testing.assert_array_equal(read_record(tmp_path / name, settings).time, kept)
-    np.testing.assert_array_equal(next(iter_record(tmp_path / name, settings)).time, kept)

@@ -6,14 +6,13 @@ from contextvars import copy_context
 
 import numpy as np
 import pytest
-from hypothesis import given
 
 from testkit.column_maps import column_map
-from testkit.strategies import assert_same, few, one_line, records
+from testkit.strategies import assert_same, one_line
 from undrift.errors import FileFormatError, InputError
 from undrift.files import WATCH
 from undrift.io import text
-from undrift.io.column_map import READ_SETTINGS, ChannelScale, ColumnMap, TextLayout
+from undrift.io.column_map import READ_SETTINGS, ChannelScale, TextLayout
 from undrift.io.columns import ReadResult, build_record
 from undrift.io.text import Appender, read_csv, write_csv
 from undrift.record import Record
@@ -92,14 +91,6 @@ def test_a_text_tells_how_far_it_is_read(tmp_path, pieces):
     assert len(shares) > 10
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
-
-
-@few
-@given(record=records(gaps=True))
-def test_a_record_comes_back_to_the_last_bit(tmp_path_factory, record):
-    path = tmp_path_factory.mktemp("csv") / "r.csv"
-    write_csv(record, path)
-    assert_same(read_text(path, ColumnMap(gaps="keep")).record, record)
 
 
 CORRECTED = Record(time=[0.0, 1.0], gyro=np.zeros((2, 3)), state="corrected", frame="b", device="A;\n1")

@@ -51,13 +51,6 @@ def test_readings_come_over_tcp_stamped_with_the_hosts_time():
         assert before <= chunk.host_time[0] <= time.monotonic()
 
 
-def test_a_device_that_hangs_up_is_a_lost_link_and_can_be_opened_again():
-    with Sender([TEXT], hang_up=True) as device, opened(f"tcp://127.0.0.1:{device.port}{OPTIONS}") as source:
-        counts(source)
-        with pytest.raises(LinkError, match=r"link is lost .the other side"):
-            source.read(30.0)
-
-
 def test_silence_and_rubbish_are_timeouts_that_say_which():
     with Sender([b""]) as device, opened(f"tcp://127.0.0.1:{device.port}{OPTIONS}") as source:
         start = time.monotonic()

@@ -1,22 +1,17 @@
 """Runs on the simulated bench: achieved rates reach the session, and every ending is at rest."""
 
-import bisect
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from testkit.cards import TurningBoard, TurningCard
-from testkit.rig_bench import GAIN, LIMITS, SHORT, UP, Device, Hands, Oven, at_rest, driven, gain_of, run, simulated
-from testkit.waiting import LONG_S
+from testkit.rig_bench import GAIN, LIMITS, SHORT, Device, Oven, at_rest, driven, gain_of, run, simulated
 from undrift.errors import InputError, RigFault, RigTimeout
 from undrift.io.session import read_session
-from undrift.live.decoder import Chunk, StreamDescription
-from undrift.live.recorder import DwellReadings, Recorder
 from undrift.programme import Protocol
 from undrift.rig import run as run_file
 from undrift.units import RADIAN_PER_DEGREE as DPS
-from undrift.units import STANDARD_GRAVITY
 
 
 def test_a_run_is_a_session_with_the_rates_that_were_achieved(tmp_path):
@@ -181,72 +176,6 @@ def test_gaps_are_no_readings_and_a_few_are_counted(tmp_path):
     assert 0.09 < piece.missing / piece.samples < 0.11
     with pytest.raises(RigTimeout, match=r"at least 80% of \d+ readings in step 1"):
         run(bench, tmp_path / "many", still, readings=device(3))
-
-
-RATE = 100.0
-BEFORE = "-z"  # how the device lay before the first mounting
-FACES = Protocol(faces=("+x", "-x", "+z"), face_s=1.0)
-
-
-class TimedHands(Hands):
-    """Mount, and remember when."""
-
-    def __init__(self, bench):
-        super().__init__(bench)
-        self.clock, self.since = bench.clock, []
-
-    def mount(self, up):
-        super().mount(up)
-        self.since.append(self.clock.now())
-
-    def up_at(self, moment):
-        return (BEFORE, *self.mounted)[bisect.bisect(self.since, moment)]
-
-
-class Late:
-    """Reads its pose RATE times a second; at the connection it is ``behind_s`` behind, then sends ``speed`` times as fast."""
-
-    name, errors = "late", 0
-
-    def __init__(self, hands, behind_s, speed):
-        channels = ("count", "accel_x", "accel_y", "accel_z")
-        self.description = StreamDescription(channels=channels, rate=RATE, accel_unit="m/s2")
-        self.hands, self.behind_s, self.speed = hands, behind_s, speed
-        self.sent = 0
-
-    def open(self):
-        self.opened = self.hands.clock.now()
-
-    def close(self):
-        pass
-
-    def read(self, deadline_s):
-        clock = self.hands.clock
-        clock.jump(clock.now() + 0.1)
-        now = clock.now()
-        begun = self.opened - self.behind_s
-        due = int(min(now - begun, self.speed * (now - self.opened)) * RATE)
-        counts = np.arange(self.sent, due)
-        self.sent = due
-        values = [STANDARD_GRAVITY * UP[self.hands.up_at(begun + k / RATE)] for k in counts]
-        return Chunk(host_time=np.full(len(counts), now), counter=counts + 0.0, values=np.array(values))
-
-
-def test_a_backlog_of_the_pose_before_the_mounting_is_in_no_dwell(tmp_path):
-    bench = simulated()
-    hands = TimedHands(bench)
-    late = Late(
-        hands, behind_s=30.0, speed=4.0
-    )  # caught up 10 s after the connection; the first dwell would be over by then
-    with Recorder(late, silence_s=LONG_S, clock=bench.clock) as recorder:
-        readings = DwellReadings(recorder, deadline_s=LONG_S)
-        result, _ = run(bench, tmp_path, FACES, readings=lambda bench: readings, hands=hands)
-    session = read_session(tmp_path)
-    assert [still.face for still in session.stills] == ["+x", "-x", "+z"] == hands.mounted
-    for still in session.stills:
-        accel = session.records[still.recording].accel[still.start : still.stop]
-        assert (accel == STANDARD_GRAVITY * UP[still.face]).all(), f"{still.face} holds readings of another pose"
-    assert min(piece.samples for piece in result.pieces) >= 100
 
 
 def test_a_dwell_that_began_too_late_to_be_whole_is_read_again(tmp_path):

@@ -1,7 +1,6 @@
 """The fault matrix: every fault in every phase of a run ends at rest, loses one dwell at most, and is made good by a resume."""
 
 import random
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,10 +8,9 @@ import pytest
 from testkit.cards import TurningBoard, TurningCard
 from testkit.data import show
 from testkit.rig_bench import GAIN, OFFSET, Device, Oven, at_rest, driven, run, simulated
-from undrift import calibrate
 from undrift.errors import RigError, RigTimeout, UndriftError
 from undrift.io.session import read_session
-from undrift.programme import Dwell, Protocol, programme_of
+from undrift.programme import Protocol
 from undrift.rig.folder import read_journal
 from undrift.rig.lock import stop_rig
 from undrift.rig.rig import RigSettings
@@ -184,39 +182,3 @@ def cell(faulty, phase, path):
     for step, content in before.items():
         assert (path / f"pieces/{step:04d}.parquet").read_bytes() == content, "a dwell that was done has changed"
     return f"{len(kept)}+{7 - len(kept)}{'' if error is None else '!'}", error_of_rates(path)
-
-
-WHOLE = replace(
-    PROTOCOL,
-    faces=("+x", "-x", "+y", "-y", "+z", "-z"),
-    axes=("x", "y", "z"),
-    turn_rate_max=90.0 * DPS,
-    temperatures_c=(),
-)
-APART = 6.0  # standard uncertainties; of 48 differences, Student's t with 24 degrees of freedom has one in 6,000 tests beyond
-
-
-def differences(found, other):
-    """Return every parameter's difference in standard uncertainties of it, and the largest relative uncertainty of a scale."""
-    apart, scales = [], []
-    for a, b in ((found.gyro, other.gyro), (found.accel, other.accel)):
-        values = [np.concatenate((model.matrix.ravel(), model.offset)) for model in (a, b)]
-        variance = sum(np.diag(model.covariance)[:12] for model in (a, b))
-        apart += list((values[0] - values[1]) / np.sqrt(variance))
-        scales += [np.sqrt(variance[k]) / abs(values[0][k]) for k in (0, 4, 8)]
-    return np.array(apart), max(scales)
-
-
-def test_a_resumed_run_is_calibrated_as_an_uninterrupted_one(tmp_path):
-    faulty = Faulty("power_cut")
-    faulty.run(tmp_path / "whole", protocol=WHOLE)
-    assert broken(faulty, tmp_path / "run", "dwelling", WHOLE) is not None
-    dwells = [step for step in programme_of(WHOLE).steps if isinstance(step, Dwell)]
-    assert 0 < len(pieces(tmp_path / "run")) < len(dwells)
-    faulty.clear()
-    faulty.run(tmp_path / "run", resume=True, protocol=WHOLE)
-    resumed, whole = (calibrate(read_session(tmp_path / name)) for name in ("run", "whole"))
-    apart, scale = differences(resumed, whole)
-    show("largest difference, standard uncertainties; of a scale, %", (np.abs(apart).max(), 100.0 * scale), APART)
-    assert np.abs(apart).max() < APART
-    assert scale < 0.005  # else nothing could be told apart

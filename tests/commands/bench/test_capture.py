@@ -25,22 +25,6 @@ def guide(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_folder_holds_serial_and_gravity_and_is_written_anew_as_more_is_captured(guide):
-    with HandFeed(seed=5) as feed:
-        feed.watch(guide, 12.0)
-        guide.capture.save()
-        assert guide.capture.saved
-        assert [still.face for still in read_session(guide.capture.folder).stills] == ["+z"]
-        feed.held.lay("-x")
-        feed.watch(guide, 12.0)
-        assert not guide.capture.saved
-        guide.capture.save()
-    session = read_session(guide.capture.folder)
-    assert [still.face for still in session.stills] == ["+z", "-x"]
-    assert (session.serial, session.gravity_m_s2) == ("A17", 9.81)
-
-
-@pytest.mark.slow
 def test_a_lost_connection_begins_another_recording_and_all_of_them_calibrate(guide):
     with HandFeed(seed=5) as feed:
         feed.held.lay("+x")

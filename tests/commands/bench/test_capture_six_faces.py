@@ -131,19 +131,6 @@ def test_redo_replaces_one_face_and_keeps_it_until_then(complete):
     assert sorted(still.face for still in stills) == sorted(FACES)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("lost_s", [0.15, 2.0])
-def test_a_gap_in_the_readings_restarts_the_countdown(guide, feed, lost_s):
-    lights = feed.watch(guide, 5.0)
-    assert lights[-1].state == "still"
-    before, begun = lights[-1].left_s, feed.clock.now()
-    after = feed.watch(guide, 12.0, drop=(begun, begun + lost_s))
-    left = [light.left_s for light in after if light.state == "still"]
-    assert max(left) > before + 1.0
-    assert guide.capture.faces["+z"].start_s > begun + lost_s
-    assert "no readings" in [light.state for light in after] or lost_s < 1.0
-
-
 @pytest.mark.parametrize(("lost_s", "restarts"), [(0.01, False), (0.15, True)])
 def test_many_readings_that_a_recorder_marks_as_missing_restart_it_and_a_single_one_does_not(
     guide, feed, lost_s, restarts
@@ -161,15 +148,6 @@ def test_many_readings_that_a_recorder_marks_as_missing_restart_it_and_a_single_
         )
         guide.update(record, feed.clock.now())
     assert (guide.capture.faces["+z"].start_s > at) == restarts
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [7, 9])
-def test_a_device_in_counts_that_lies_still_from_the_start_is_not_called_moving(guide, seed):
-    """The first points of its cloud are noise, which may lie all around as those of a sphere do."""
-    with HandFeed(seed, random_device(np.random.default_rng(seed), grade="enc03j_3031")) as feed:
-        assert [light.state for light in feed.watch(guide, 6.0)][8:] == ["unknown face"] * 22
-        capture_faces(feed, guide)
 
 
 @pytest.mark.parametrize("seeds", [2])

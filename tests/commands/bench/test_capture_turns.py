@@ -131,14 +131,6 @@ def test_half_a_turn_is_not_counted(guide):
 
 
 @pytest.mark.slow
-def test_in_counts_a_turn_is_compared_with_the_others(guide, feed):
-    turn(feed, guide, "z")
-    turn(feed, guide, "z", -2.0 * TURN)
-    assert list(guide.done) == ["+z"]
-    assert guide.outcome == "That was shorter or longer than the other turns. Turn once, back to the mark."
-
-
-@pytest.mark.slow
 def test_in_counts_two_turns_that_agree_stand_against_the_only_other_one(guide, feed):
     turn(feed, guide, "z", 2.0 * TURN)
     turn(feed, guide, "z", -TURN)
@@ -155,13 +147,3 @@ def test_a_turn_with_a_gap_does_not_count(guide, feed):
     lights = turn(feed, guide, "z", drop=(at + 2.0, at + 2.3))
     assert guide.done == {}
     assert any(light.text.startswith("Gap in the readings: that turn does not count.") for light in lights)
-
-
-@pytest.mark.slow
-def test_one_turn_about_each_axis_is_enough_and_six_are_all(guide, feed):
-    for axis in "xyz":
-        assert not guide.enough
-        feed.held.lay(f"+{axis}")
-        turn(feed, guide, axis)
-    assert guide.enough
-    assert not guide.complete

@@ -12,8 +12,6 @@ from testkit.waiting import eventually
 from undrift import read_record
 from undrift.commands.bench.source import KEEP_S, LiveDevice
 from undrift.errors import InputError, LinkError
-from undrift.io.text import Appender
-from undrift.record import Record
 
 
 @pytest.fixture
@@ -69,15 +67,6 @@ def test_a_silent_device_is_an_error_in_one_line_and_comes_back_by_itself(source
     )  # the error comes after 2 s of silence; a busy link holds readings back
 
 
-def test_a_device_that_hangs_up_is_connected_again(source: LiveDevice, talker: TalkingDevice):
-    eventually(lambda: seconds(source) > 0.2, "readings")
-    first = source.recorder
-    talker.hang_up()
-    eventually(lambda: source.recorder is not first, "another recorder")
-    eventually(lambda: source.recent(0.2), "readings")
-    assert source.error == ""
-
-
 def test_what_is_no_address_and_who_is_not_there_are_refused(source: LiveDevice):
     with pytest.raises(InputError, match="expected"):
         LiveDevice("pigeon:loft")
@@ -109,27 +98,3 @@ def test_a_file_holds_all_that_came_while_it_was_open(
     np.testing.assert_array_equal(record.time, same.time)
     assert record.duration_s > 1.6
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_full_disk_ends_the_file_with_a_reason_and_the_readings_go_on(
-    source: LiveDevice, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    monkeypatch.setattr("undrift.io.text.Appender.write_every_s", 0.3)
-    write, calls = Appender.write, []
-
-    def fill(self: Appender, record: Record) -> None:
-        if len(calls) == 2:
-            raise InputError("live.csv: wanted room for 1 MB, got a full disk; make room")
-        calls.append(len(record))
-        write(self, record)
-
-    monkeypatch.setattr(Appender, "write", fill)
-    source.write_to(tmp_path / "live.csv")
-    eventually(lambda: source.status().file is None, "the end of the file")
-    assert source.status().file_error == "live.csv: wanted room for 1 MB, got a full disk; make room"
-    assert len(read_record(tmp_path / "live.csv")) == sum(calls), "what was written before is kept"
-    assert source.status().error == ""
-    number = source.status().readings
-    eventually(lambda: source.status().readings > number, "readings")
-    source.write_to(tmp_path / "next.csv")
-    assert source.status().file_error == ""
