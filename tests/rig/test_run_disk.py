@@ -1,92 +1,45 @@
-"""What a power cut leaves of a run: at each fsync, with what was not brought to the disk lost, empty, zeros or torn."""
+"""What a run keeps on a disk that is full, in which order it writes, and what damage to a finished run does."""
 
-import hashlib
+import os
 import random
 import subprocess
 import sys
-from collections import Counter
+from pathlib import Path
 
 import pytest
 
 from testkit.data import show
-from testkit.disk import cuts, logged, preloaded
+from testkit.disk import preloaded
 from testkit.rig_bench import SHORT, run, simulated
-from undrift.errors import InputError, UndriftError
+from undrift.errors import UndriftError
 from undrift.io.session import read_session
 from undrift.rig.folder import RunFolder
 
-RUN = """
-from testkit.disk import mark
-from testkit.rig_bench import SHORT, run, simulated
-from undrift.rig.folder import RunFolder
 
-def keep(folder, record, piece, real=RunFolder.keep):
-    kept = real(folder, record, piece)
-    mark(kept.step)
-    return kept
+@pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="the names of open files, as Linux has them")
+def test_readings_are_on_the_disk_before_the_session_names_them(tmp_path, monkeypatch):
+    """A power cut between any two calls leaves a session whose files are whole."""
+    calls, synced, renamed = [], os.fsync, Path.replace
 
-RunFolder.keep = keep
-run(simulated(), {path})
-"""
+    def fsync(handle):
+        calls.append(("fsync", Path(os.readlink(f"/proc/self/fd/{handle}")).name))
+        synced(handle)
 
+    def replace(self, target):
+        calls.append(("rename", Path(target).name, self.name))
+        return renamed(self, target)
 
-@pytest.fixture(scope="module")
-def log(tmp_path_factory):
-    """Return the log of a run and its folder."""
-    folder = tmp_path_factory.mktemp("run") / "disk"
-    folder.mkdir()
-    path = f"__import__('pathlib').Path({str(folder / 'run')!r})"
-    logged(RUN.format(path=path), folder, folder.with_name("log"))
-    return folder.with_name("log"), folder
-
-
-@pytest.mark.parametrize(
-    ("everywhere", "every"),
-    [(False, 5), pytest.param(False, 1, marks=pytest.mark.slow), pytest.param(True, 1, marks=pytest.mark.slow)],
-)
-def test_a_power_cut_at_each_fsync_loses_no_dwell_that_was_reported(log, tmp_path, everywhere, every):
-    counted, rng = Counter(), random.Random(3)
-    digests = set()
-    for number, cut in enumerate(cuts(*log, everywhere=everywhere)):
-        if number % every:
-            continue
-        path = tmp_path / str(number)
-        for name, content in cut.files.items():
-            (path / name).parent.mkdir(parents=True, exist_ok=True)
-            (path / name).write_bytes(content)
-        path.mkdir(exist_ok=True)
-        reported = {*cut.marks}
-        counted["cuts"] += 1
-        run_path = path / "run"
-        counted[f"session {before_resume(run_path)}"] += 1
-        with RunFolder(run_path, SHORT, resume=True) as folder:
-            assert reported <= folder.done, cut
-            for piece in folder.pieces:
-                digests.add((piece.step, piece.sha256))
-                assert hashlib.sha256((run_path / piece.name).read_bytes()).hexdigest() == piece.sha256
-            if folder.pieces:
-                folder.begin(folder.head)
-        if folder.pieces:
-            assert len(read_session(run_path).records) == len(folder.pieces)
-        if rng.random() < 0.01 or number % 100 == 0:
-            bench = simulated()
-            result, _ = run(bench, run_path, resume=True)
-            assert len(result.pieces) == 7
-            counted["resumed to the end"] += 1
-    assert len(digests) <= 7  # none but those that were written
-    show("power cuts of a run", counted)
-    assert counted["cuts"] > 60 / every
-
-
-def before_resume(path):
-    """Say what the session is before the run is resumed: whole, or refused."""
-    if not (path / "session.toml").exists():
-        return "none"
-    try:
-        read_session(path)
-    except InputError:
-        return "refused"
-    return "read"
+    monkeypatch.setattr(os, "fsync", fsync)
+    monkeypatch.setattr(Path, "replace", replace)
+    run(simulated(), tmp_path / "run")
+    names = [call for call in calls if call[0] == "rename"]
+    assert [name for _, name, _ in names].count("session.toml") == 7  # a dwell each
+    for _, name, part in names:
+        at = next(k for k, call in enumerate(calls) if call[1:] == (name, part))
+        folder = "pieces" if name.endswith(".parquet") else "run"
+        later = next((k for k, call in enumerate(calls) if k > at and call[0] == "rename"), len(calls))
+        assert ("fsync", part) in calls[:at], f"{name}: it has its name before its content is on the disk"
+        assert ("fsync", folder) in calls[at:later], f"{name}: something is written before its name is on the disk"
 
 
 RUNS = """
