@@ -31,7 +31,7 @@ UNITS = {
     "time": ("s", "ms", "us", "date"),
 }
 SENSORS = {"gyro": "gyroscopes", "accel": "accelerometers", "time": "time"}
-WALKED = "Each face must rest for some seconds. Full turns between rests also calibrate the gyroscopes."
+WALKED = "Each face must rest for some seconds. Full turns (360 deg) between rests also calibrate the gyroscopes."
 OFFSETS = {
     "none": "Nothing",
     "rest": "The mean of the first rest",
@@ -344,7 +344,7 @@ def calibrate_step(bench: Bench) -> None:
     if item.kind == "recording":
         ui.label(WALKED)
         field("Serial number", item, "serial", hint="from the file; correct it if it is wrong")
-        number("Angle of each turn, deg (360 for full turns; empty: no turns)", item, "turn_deg")
+        number("Angle of each turn, deg (empty: none)", item, "turn_deg")
     keep_place = place_form(bench)
 
     async def calibrate(**options: bool) -> None:
@@ -378,8 +378,8 @@ def place_form(bench: Bench) -> Callable[[], None]:
 
     with ui.expansion(f"Place: {known}"):
         ui.label("Without it, the scale of the accelerometers may be off by 0.3 %. Enter the latitude, or gravity.")
-        number("Latitude, deg (north is positive)", typed, "latitude_deg")
-        number("Height above the sea, m (empty: 0)", typed, "height_m")
+        number("Latitude, deg north", typed, "latitude_deg")
+        number("Height, m (empty: 0)", typed, "height_m")
         number("Or gravity, m/s2", typed, "gravity_m_s2")
     return keep
 
