@@ -22,7 +22,7 @@ from undrift.rig.folder import RunFolder
 from undrift.rig.run import Mounted, RigBench, run_programme
 from undrift.rig.simulated import SimulatedBench, SimulatedSettings
 from undrift.sim.device.model import DeviceModel
-from undrift.study.case import make_case, pitch_errors_deg, stream, with_cutoff
+from undrift.study.case import make_case, pitch_errors_deg, simulate_worn, stream, with_cutoff
 from undrift.study.judge import SessionErrors, judge_sessions
 from undrift.study.plan import Study, StudyTask
 from undrift.study.run import perform, run_study
@@ -72,7 +72,8 @@ def deliver(study: Study, name: str, number: int, folder: Path) -> float:
     calibration = calibrate_on_rig(name, device, folder)
     (performed,) = perform(study, study.tasks[0], number)
     rise = float(stream(study.seed, study.group, "temperature", number).uniform(*study.excursion_k))
-    case = make_case(device, performed, temp_c=ROOM_TEMP_C + rise, rng=stream(study.seed, "promised", number))
+    rng = stream(study.seed, "promised", number)
+    case = make_case(device, performed, simulate_worn(device, performed, temp_c=ROOM_TEMP_C + rise, rng=rng))
     return pitch_errors_deg(case, calibration, study.offset)[0]
 
 

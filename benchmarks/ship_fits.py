@@ -1,7 +1,7 @@
 """Make the fits that ship with the package (study/shipped.py): ``python -m benchmarks.ship_fits [STUDY ...] [--sessions ...]``.
 
 It makes the note's study, with the effects, rivals and short sessions of the other group, then each preset with the
-sessions of a default study. Fits in the file are kept if the fits of device 0 agree. All fits take an hour on two
+sessions of a default study. Fits in the file are kept if the fits of device 0 agree. All fits take half an hour on two
 processors. The file is written after each study.
 """
 
@@ -22,9 +22,9 @@ from undrift.arrays import FloatArray
 from undrift.base.workers import executor
 from undrift.sim.device.presets import PRESETS
 from undrift.study.case import EFFECTS
-from undrift.study.methods import RIVALS, fit_rival
+from undrift.study.methods import RIVALS, Rival, fit_rival
 from undrift.study.plan import SUBJECTS, Study, StudyTask, note_study
-from undrift.study.run import StudyDevice, with_checked_fits
+from undrift.study.run import StudyDevice, agrees
 from undrift.study.sessions import SESSIONS, CalibrationSession
 from undrift.study.shipped import ARRAYS, FILE, Fit, pack, shipped_fits
 
@@ -52,16 +52,16 @@ def fits_of_device(study: Study, number: int) -> dict[int, Fit]:
     if tried and number < EFFECT_DEVICES:
         for effect in EFFECTS:
             fits |= _fits(StudyDevice(study, number, effect), short)
-        fits |= {
-            device.key(rival): values for rival in RIVALS if (values := pack(fit_rival(rival, device))) is not None
-        }
+        fits |= _fits(device, RIVALS)
     return fits
 
 
-def _fits(device: StudyDevice, sessions: Sequence[CalibrationSession]) -> dict[int, Fit]:
-    stored = shipped_fits() if device.study.shipped else {}
-    wanted = {device.key(session): session for session in sessions if session.suits(device.model)}
-    packed = {key: stored.get(key) or pack(device.fit(session)) for key, session in wanted.items()}
+def _fits(device: StudyDevice, sessions: Sequence[CalibrationSession | Rival]) -> dict[int, Fit]:
+    stored, packed = shipped_fits() if device.study.shipped else {}, dict[int, Fit | None]()
+    for session in sessions:
+        key, rival = device.key(session), isinstance(session, str)
+        if rival or session.suits(device.model):
+            packed[key] = stored.get(key) or pack(fit_rival(session, device) if rival else device.fit(session))
     return {key: values for key, values in packed.items() if values is not None}
 
 
@@ -95,7 +95,7 @@ def main() -> int:
         start = time.perf_counter()
         study = replace(study, sessions=tuple(SESSIONS[name] for name in options.sessions))
         with executor() as spread:
-            study = with_checked_fits(study, spread)
+            study = replace(study, shipped=all(spread(partial(agrees, study), study.sessions)))
             for device_fits in spread(partial(fits_of_device, study), range(options.devices)):
                 fits |= device_fits
         write_fits(fits, {"undrift": undrift.__version__, "seed": str(study.seed)})

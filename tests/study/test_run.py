@@ -14,9 +14,17 @@ from undrift.sim.device.presets import preset
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.tasks import draw_task
 from undrift.study import run as run_module
-from undrift.study.case import EFFECTS, device_without, make_case, pitch_delay_s, pitch_errors_deg, with_cutoff
+from undrift.study.case import (
+    EFFECTS,
+    device_without,
+    make_case,
+    pitch_delay_s,
+    pitch_errors_deg,
+    simulate_worn,
+    with_cutoff,
+)
 from undrift.study.plan import Study, StudyTask
-from undrift.study.run import StudyDevice, run_chosen, with_checked_fits
+from undrift.study.run import CHECKED, StudyDevice, agrees, run_chosen, with_checked_fits
 from undrift.study.sessions import ROOM_TEMP_C, SESSIONS
 from undrift.study.shipped import FILE, agree, pack, shipped_fits, unpack
 
@@ -25,7 +33,7 @@ TASK = draw_task("sit_to_stand", rng=np.random.default_rng(5), rest_s=6.0)
 
 
 def case_of(device, temp_c=25.0, **more):
-    return make_case(device, TASK, temp_c=temp_c, rng=np.random.default_rng(1), **more)
+    return make_case(device, TASK, simulate_worn(device, TASK, temp_c=temp_c, rng=np.random.default_rng(1)), **more)
 
 
 def test_an_exact_calibration_at_its_temperature_leaves_noise():
@@ -146,15 +154,19 @@ def test_a_key_depends_on_seed_bench_device_and_session(device):
 
 
 @pytest.mark.parametrize("stale", [False, True])
-def test_stale_fits_are_refused(device, stale, monkeypatch):
-    fit = pack(device.calibration(HAND))
+def test_stale_fits_are_refused(stale, monkeypatch):
+    device = StudyDevice(STUDY, 0)
+    fit = pack(device.calibration(CHECKED))
     shipped = {name: array * (1.01 if stale else 1.0) for name, array in fit.items()}
-    monkeypatch.setattr(run_module, "shipped_fits", lambda: {device.key(HAND): shipped})
+    monkeypatch.setattr(run_module, "shipped_fits", lambda: {device.key(CHECKED): shipped})
     assert with_checked_fits(STUDY, map).shipped is not stale
     assert not with_checked_fits(replace(STUDY, offset="motion"), map).shipped  # needs uncertainties
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(not FILE.exists(), reason="no fits in the package: python -m benchmarks.ship_fits makes them")
-def test_the_fits_in_the_package_are_those_of_this_version():
-    assert with_checked_fits(Study(tasks=STUDY.tasks), map).shipped
+@pytest.mark.parametrize("fit", ["product", "paper"])
+@pytest.mark.parametrize("session", SESSIONS.values(), ids=lambda session: session.name)
+def test_the_fits_in_the_package_are_those_of_this_version(session, fit):
+    study = replace(STUDY, device="xsens_mti1" if session.kind == "motion" else STUDY.device, fit=fit)
+    assert StudyDevice(study, 0).key(session) in shipped_fits()
+    assert agrees(study, session)

@@ -73,9 +73,9 @@ def study(
     if output.is_dir() and any(output.iterdir()) and not (output / "runs.parquet").is_file():
         raise InputError(f"{output}: this folder contains other files. Name a new folder, or the folder of a study.")
     with executor(workers, scheduler) as spread:
-        progress("comparing shipped fits with those of device 0", 0.0)
-        planned = with_checked_fits(planned, spread)
+        progress("comparing a shipped fit with a new one", 0.0)
         figures = spread(partial(figure3, seed=planned.seed), [] if preset is None else [planned.typical_unit()])
+        planned = with_checked_fits(planned, spread)
         runs = run_study(planned, spread, lambda done, total: progress(f"device {done} of {total}", RUN * done / total))
         outcome = judge(planned, runs)
         progress("switching off errors one at a time", RUN)

@@ -73,6 +73,17 @@ def add_process(
             out[k, i] += sd[i] * state[i]
 
 
+@compiled_to_the_bit
+def filter_columns(b: FloatArray, a: FloatArray, state: FloatArray, x: FloatArray) -> None:
+    # each column of x (N, C), in place: y_k = b0 x_k + b1 x_(k-1) + b2 x_(k-2) - a1 y_(k-1) - a2 y_(k-2); state (C, 2) too
+    for k in range(x.shape[0]):
+        for i in range(x.shape[1]):
+            y = state[i, 0] + b[i, 0] * x[k, i]
+            state[i, 0] = state[i, 1] + b[i, 1] * x[k, i] - a[i, 1] * y
+            state[i, 1] = b[i, 2] * x[k, i] - a[i, 2] * y
+            x[k, i] = y
+
+
 @compiled
 def follow_with_play(temp: FloatArray, half_width: float, output: float, out: FloatArray) -> None:
     # out (N,): output of a play operator for a temperature, from its current state

@@ -28,7 +28,7 @@ from undrift.orientation import GRAVITY_WITHIN, sagittal_pitch, shortest_rotatio
 from undrift.record import Record, Still
 from undrift.sim.device.effects import BUTTERWORTH, LowPass, Sampling, SensorChain
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.device.simulate import simulate_device
+from undrift.sim.device.simulate import Simulated, simulate_device
 from undrift.sim.motion.motion import Motion
 from undrift.sim.motion.tasks import Task
 from undrift.study.recorded import SAMPLE_RATE_HZ, RecordedTask
@@ -144,27 +144,37 @@ def true_motion(performed: Task | RecordedTask) -> Motion:
     return performed.at(time, STANDARD_GRAVITY)
 
 
-def make_case(
-    device: DeviceModel,
-    performed: Task | RecordedTask,
-    *,
-    temp_c: float,
-    rng: np.random.Generator,
-    aligned: bool = True,
-) -> Case:
+def simulate_worn(
+    device: DeviceModel, performed: Task | RecordedTask, *, temp_c: float, rng: np.random.Generator
+) -> Simulated:
     """Simulate a trial of a device that is worn at a board temperature, degC."""
-    motion = true_motion(performed)
-    record = simulate_device(device, motion, rng=rng, temp_c=temp_c, power_on_s=WORN_S).record
+    return simulate_device(device, true_motion(performed), rng=rng, temp_c=temp_c, power_on_s=WORN_S)
+
+
+def make_case(device: DeviceModel, performed: Task | RecordedTask, worn: Simulated, *, aligned: bool = True) -> Case:
+    """Return the case of a device that differs from the simulated one in its low-passes only."""
     start, stop = (round(moment * SAMPLE_RATE_HZ) for moment in performed.moving_s)
-    pitch = sagittal_pitch(motion.q_nb)
+    pitch = sagittal_pitch(true_motion(performed).q_nb)
     delayed = _delayed(pitch, pitch_delay_s(device) * SAMPLE_RATE_HZ)
     return Case(
-        record=record,
+        record=_filtered(device, worn),
         pitch_now=pitch if aligned else delayed,
         pitch=delayed,
         still=Still(start=0, stop=max(start - round(REST_ENDS_S * SAMPLE_RATE_HZ), 2)),
-        moving=slice(start, min(stop + 1, len(motion))),
+        moving=slice(start, min(stop + 1, len(pitch))),
     )
+
+
+def _filtered(device: DeviceModel, worn: Simulated) -> Record:
+    """Return the readings of a simulated trial with the low-passes of a device."""
+    readings = {}
+    for name in ("gyro", "accel"):
+        chain, triad = getattr(device, name), getattr(worn, name)
+        signal = triad.true + sum(x for effect, x in triad.contributions.items() if effect not in ("low_pass", "adc"))
+        if chain.low_pass is not None:
+            signal, _ = chain.low_pass.filtered(signal, 1.0 / SAMPLE_RATE_HZ)
+        readings[name] = np.where(np.isnan(getattr(worn.record, name)), np.nan, chain.converted(signal)[0])
+    return replace(worn.record, **readings)
 
 
 def _delayed(pitch: FloatArray, samples: float) -> FloatArray:

@@ -45,7 +45,7 @@ class Anova:
 def repeated_measures_anova(errors: ArrayLike) -> Anova:
     """Compare k conditions that each of n subjects met: errors (n, k)."""
     from scipy.linalg import helmert
-    from scipy.stats import f as f_distribution
+    from scipy.special import fdtrc
 
     y = np.asarray(errors, dtype=float)
     if y.ndim != 2 or y.shape[0] < 3 or y.shape[1] < 2 or not np.isfinite(y).all():
@@ -63,7 +63,7 @@ def repeated_measures_anova(errors: ArrayLike) -> Anova:
     covariance = np.atleast_2d(np.cov(y @ helmert(k).T, rowvar=False))
     squares = float((covariance * covariance).sum())
     epsilon = min(1.0, float(np.trace(covariance)) ** 2 / (d1 * squares)) if squares > 0.0 else 1.0
-    p = float(f_distribution.sf(f, epsilon * d1, epsilon * d2))
+    p = float(fdtrc(epsilon * d1, epsilon * d2, f))
     return Anova(subjects=n, f=f, dof=(d1, d2), epsilon=epsilon, p_value=p)
 
 

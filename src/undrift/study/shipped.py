@@ -3,14 +3,15 @@
     key       hash of all that a fit depends on: device, session, errors of the bench, mode of the fit, seed, group, number
     arrays    matrices, offsets and tables over temperature: rounding step, then second differences of the rounded values
 
-The rule: a fit is used if its key agrees, and if the fits of device 0 agree, which every study makes again with the code that runs.
-If one of these differs, the file is stale, and the study makes all its fits. ``python -m benchmarks.ship_fits`` makes the file.
-The fits have no uncertainties, so a study that finds the offset in motion makes its own.
+The rule: a fit is used if its key agrees, and if one session of device 0 agrees, which every study fits again with the code that
+runs. If it differs, the file is stale, and the study makes all its fits. A test compares all sessions of device 0.
+``python -m benchmarks.ship_fits`` makes the file. The fits have no uncertainties, so a study that finds the offset in motion makes
+its own.
 """
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -34,6 +35,8 @@ ARRAYS: dict[str, tuple[tuple[int, ...], float]] = {
     "gyro.matrix": ((3, 3), 1e-7),
     "gyro.offset": ((3,), 1e-7),
     "gyro.g_sensitivity": ((3, 3), 1e-7),
+    "gyro.moving_offset": ((3,), 1e-7),
+    "gyro.code_offset": ((3,), 1e-7),
     "accel.matrix": ((3, 3), 1e-7),
     "accel.offset": ((3,), 1e-7),
     "static.temp_c": ((-1,), 1e-6),
@@ -47,6 +50,7 @@ ARRAYS: dict[str, tuple[tuple[int, ...], float]] = {
     "dynamic.error": ((-1, 3), 1e-4),
     "lag.seconds": ((2,), 1e-6),
 }
+GYRO_ONLY = ("g_sensitivity", "moving_offset", "code_offset")
 TABLES: dict[str, Any] = {"static": StaticDrift, "scale": ScaleDrift, "dynamic": DynamicDrift}
 
 
@@ -67,8 +71,7 @@ def pack(calibration: Calibration | None) -> Fit | None:
     if calibration is None:
         return {}
     gyro, accel, drift = calibration.gyro, calibration.accel, calibration.drift
-    parts = [getattr(triad, name) for triad in (gyro, accel) for name in ("moving_offset", "code_offset")]
-    if gyro is None or accel is None or calibration.adc is not None or any(part is not None for part in parts):
+    if gyro is None or accel is None or calibration.adc is not None:
         return None
     sources: dict[str, Any] = {"gyro": gyro, "accel": accel} | {table: getattr(drift, table, None) for table in TABLES}
     fit: Fit = {} if drift is None else {"lag.seconds": np.array((drift.lag_s, drift.lag_smooth_s))}
@@ -98,7 +101,7 @@ def unpack(fit: Fit, device: DeviceModel, reference_temp_c: float) -> Calibratio
         device=device.serial,
         reference_temp_c=reference_temp_c,
         gravity_m_s2=STANDARD_GRAVITY,
-        gyro=replace(gyro, g_sensitivity=parts["gyro"].get("g_sensitivity")),
+        gyro=replace(gyro, **{name: parts["gyro"].get(name) for name in GYRO_ONLY}),
         accel=bare_model("accel", device.accel.unit, parts["accel"]["matrix"], parts["accel"]["offset"]),
         drift=drift,
     )
@@ -116,23 +119,34 @@ def agree(fitted: Fit | None, shipped: Fit) -> bool:
 # ---- the file
 
 
+class ShippedFits(Mapping[int, Fit]):
+    """Fits of the file by their key. A fit is decoded when it is needed."""
+
+    def __init__(self, file: Path) -> None:
+        import pyarrow.parquet as pq
+
+        self._table = pq.ParquetFile(file).read()
+        self._rows = {key: row for row, key in enumerate(self._table["key"].to_pylist())}
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._rows)
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def __getitem__(self, key: int) -> Fit:
+        fit, row = Fit(), self._rows[key]
+        for name, (shape, _) in ARRAYS.items():
+            cell = self._table[name][row]
+            if cell.is_valid:
+                step, *differences = cell.as_py()
+                fit[name] = step * np.reshape(differences, shape).cumsum(axis=0).cumsum(axis=0)
+        if "dynamic.error" in fit:
+            fit["dynamic.error"] = fit["dynamic.error"].reshape(len(fit["dynamic.temp_c"]), -1, 3)
+        return fit
+
+
 @cache
 def shipped_fits() -> Mapping[int, Fit]:
     """Return all fits of the file by their key, none if there is no file."""
-    import pyarrow.parquet as pq
-
-    if not FILE.exists():
-        return {}
-    rows = pq.read_table(FILE).to_pylist()
-    return {row["key"]: _read(row) for row in rows}
-
-
-def _read(row: dict[str, Any]) -> Fit:
-    fit: Fit = {}
-    for name, (shape, _) in ARRAYS.items():
-        if row[name] is not None:
-            step, *differences = row[name]
-            fit[name] = step * np.reshape(differences, shape).cumsum(axis=0).cumsum(axis=0)
-    if "dynamic.error" in fit:
-        fit["dynamic.error"] = fit["dynamic.error"].reshape(len(fit["dynamic.temp_c"]), -1, 3)
-    return fit
+    return ShippedFits(FILE) if FILE.exists() else {}

@@ -414,18 +414,20 @@ class LowPass(Effect):
         return np.asarray(1.0 / (self.quality * 2.0 * math.pi * self.cutoff_hz))
 
     def apply(self, x: FloatArray, scene: Scene, past: Past) -> FloatArray:
-        from scipy.signal import lfilter
-
         check_even(scene, "low-pass")
-        pairs = zip(self.cutoff_hz.tolist(), self.quality.tolist(), strict=True)
-        equations = [difference_equation(cutoff, quality, scene.step_s) for cutoff, quality in pairs]
-        past.state = past.state or [
-            np.array([1.0 - b[0], b[2] - a[2]]) * x[0, axis] for axis, (b, a) in enumerate(equations)
-        ]
-        out = np.empty_like(x)
-        for axis, (b, a) in enumerate(equations):
-            out[:, axis], past.state[axis] = lfilter(b, a, x[:, axis], zi=past.state[axis])
+        out, past.state = self.filtered(x, scene.step_s, past.state)
         return out
+
+    def filtered(self, x: FloatArray, step_s: float, state: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
+        """Return a filtered signal and the state (3, 2) after it. Without a state, the filter begins settled."""
+        from undrift.sim.kernels import filter_columns
+
+        pairs = zip(self.cutoff_hz.tolist(), self.quality.tolist(), strict=True)
+        b, a = (np.array(rows) for rows in zip(*(difference_equation(*pair, step_s) for pair in pairs), strict=True))
+        state = np.stack((1.0 - b[:, 0], b[:, 2] - a[:, 2]), axis=1) * x[0][:, None] if state is None else state.copy()
+        out = np.array(x, order="C")
+        filter_columns(b, a, state, out)
+        return out, state
 
 
 def sallen_key(cutoff_hz: float, parts: FloatArray) -> LowPass:
@@ -603,14 +605,16 @@ class Thermometer(Effect):
         if past.state is None and np.ptp(temp) == 0.0:
             past.state = state_c, before
             return temp + heating
-        from scipy.signal import lfilter
+        from undrift.sim.kernels import filter_columns
 
         check_even(scene, "thermometer")
         ratio = scene.step_s / self.lag_s
         keep = math.exp(-ratio)
         mean = -math.expm1(-ratio) / ratio  # of the weight over a step
-        b = [1.0 - mean, mean - keep]
-        lagging = np.asarray(lfilter(b, [1.0, -keep], temp, zi=[keep * state_c + b[1] * before])[0])
+        b, a = np.array([[1.0 - mean, mean - keep, 0.0]]), np.array([[1.0, -keep, 0.0]])
+        column = np.array(temp)[:, None]
+        filter_columns(b, a, np.array([[keep * state_c + b[0, 1] * before, 0.0]]), column)
+        lagging = column[:, 0]
         past.state = float(lagging[-1]), float(temp[-1])
         return lagging + heating
 

@@ -253,11 +253,11 @@ def disturbed(
     q_nb: FloatArray, position: FloatArray, *, streams: Streams, settings: OpticsSettings
 ) -> tuple[FloatArray, FloatArray]:
     """Return poses with camera errors, q_nb (N, 4) and position (N, 3), m."""
-    from scipy.signal import lfilter
-
     mount = quaternion_of(streams.of("mount").normal(0.0, settings.mount_sd, 3))
     error = streams.of("angle").normal(0.0, settings.angle_sd, (len(q_nb), 3))
     if settings.slow_sd:
+        from scipy.signal import lfilter
+
         keep = np.exp(-1.0 / (SLOW_S * settings.sample_rate_hz))
         draws = streams.of("slow").normal(0.0, settings.slow_sd, (len(q_nb), 3))
         draws[1:] *= np.sqrt(1.0 - keep**2)
