@@ -13,7 +13,7 @@ from pathlib import Path
 
 from undrift.io.formats import write_record
 from undrift.io.reference import write_reference
-from undrift.study.virtual_bench import bench_device, bench_plan, record_on_bench, worn_trial
+from undrift.study.virtual_bench import bench_device, bench_protocols, record_on_bench, worn_trial
 from undrift.units import RADIAN_PER_DEGREE
 
 FACE_S, DWELL_S, STEP = 6.0, 3.0, 30.0 * RADIAN_PER_DEGREE
@@ -22,19 +22,14 @@ REST_S = 240.0
 
 def main(folder: Path) -> None:
     """Write bench/ (six faces and rates), thermal/ (set-points), rest.parquet, and a sit-to-stand task with its optics."""
-    plan, device = bench_plan(quick=True), bench_device()
-    room = replace(plan.bench, face_s=FACE_S, dwell_s=DWELL_S, turn_rate_min=STEP, turn_rate_step=STEP)
+    (bench, thermal), device = bench_protocols(quick=True), bench_device()
+    room = replace(bench, face_s=FACE_S, dwell_s=DWELL_S, turn_rate_min=STEP, turn_rate_step=STEP)
     rest = replace(room, name="rest", faces=("+z",), face_s=REST_S, turn_rate_step=0.0)
     folder.mkdir(parents=True)
     with tempfile.TemporaryDirectory() as temporary:
-        record_on_bench(replace(plan, bench=room), device, folder, tell=lambda what, share: None)
+        record_on_bench((room, thermal), device, folder, tell=lambda what, share: None)
         recorded = Path(temporary)
-        record_on_bench(
-            replace(plan, bench=rest, thermal=replace(rest, name="again", face_s=1.0)),
-            device,
-            recorded,
-            tell=lambda what, share: None,
-        )
+        record_on_bench((rest,), device, recorded, tell=lambda what, share: None)
         (piece,) = (recorded / "rest" / "pieces").iterdir()
         shutil.copy(piece, folder / "rest.parquet")
     for lock in folder.rglob("lock"):

@@ -15,6 +15,7 @@ In symbols, for a reading u (3,) at temperature T::
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Annotated, Literal
 
 import numpy as np
@@ -388,6 +389,7 @@ class Provenance:
         return float(self.text(name) or usual)
 
 
+@cache
 def versions_used() -> tuple[tuple[str, str], ...]:
     """Return the packages that a fit depends on, with their versions."""
     from importlib.metadata import version

@@ -7,7 +7,7 @@ import pytest
 
 from testkit.long_calls import long_call
 from undrift.io.session import read_session
-from undrift.study.virtual_bench import bench_device, bench_plan, record_on_bench
+from undrift.study.virtual_bench import bench_device, bench_protocols, record_on_bench
 
 
 @pytest.mark.slow
@@ -25,11 +25,11 @@ def test_the_bench_finds_the_hidden_parameters_and_the_tables_take_the_pitch_err
         assert word in named
 
 
-def short_plan():
-    """Return a plan about one axis, at one set-point."""
-    plan = bench_plan(quick=True)
-    thermal = replace(plan.thermal, axes=("z",), temperatures_c=plan.thermal.temperatures_c[:1])
-    return replace(plan, bench=replace(plan.bench, faces=("+z",), axes=("z",)), thermal=thermal)
+def short_protocols():
+    """Return protocols about one axis, at one set-point."""
+    bench, thermal = bench_protocols(quick=True)
+    thermal = replace(thermal, axes=("z",), temperatures_c=thermal.temperatures_c[:1])
+    return replace(bench, faces=("+z",), axes=("z",)), thermal
 
 
 def test_a_bench_that_is_interrupted_keeps_what_was_done(tmp_path):
@@ -38,5 +38,5 @@ def test_a_bench_that_is_interrupted_keeps_what_was_done(tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        record_on_bench(short_plan(), bench_device(), tmp_path, tell=interrupt)
+        record_on_bench(short_protocols(), bench_device(), tmp_path, tell=interrupt)
     assert read_session(tmp_path / "bench").stills  # what was done is on the disk

@@ -12,32 +12,33 @@ from typing import Annotated
 import numpy as np
 
 from undrift.base.options import WRITTEN, Flag
+from undrift.calibration.calibrate import calibrate
 from undrift.commands.files import check_folder, origin_of, save_json
 from undrift.correction.correct import correct_checked
+from undrift.drift.fit import DriftFit, fit_drift
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
 from undrift.io.formats import read_record, read_reference, write_record
 from undrift.io.reference import write_reference
 from undrift.io.session import read_session
 from undrift.io.store import calibration_json, read_calibration, write_calibration
+from undrift.programme import Protocol
 from undrift.report import Report, Table
 from undrift.report.figures import draw_levels
 from undrift.report.page import write_report
 from undrift.report.report import as_json
 from undrift.report.study import NOTE, SLOPE_OF_THE_NOTE
+from undrift.rig.run import RunResult
 from undrift.screen import part, progress
 from undrift.sim.device.model import DeviceModel
 from undrift.study.figure3 import judge_compared
 from undrift.study.sessions import WARM_C
 from undrift.study.virtual_bench import (
     SOAK,
-    BenchFit,
-    BenchRun,
     Check,
     bench_device,
-    bench_plan,
+    bench_protocols,
     compare_with_truth,
-    fit_bench,
     record_on_bench,
     worn_trial,
 )
@@ -72,7 +73,8 @@ def demo(*, out: Annotated[Path, WRITTEN] = Path("demo"), quick: Flag = False) -
     device = bench_device()
     try:
         with part(0.0, RECORDED):
-            run = record_on_bench(bench_plan(quick=quick), device, out, tell=progress)
+            protocols = bench_protocols(quick=quick)
+            runs = record_on_bench(protocols, device, out, tell=progress)
     except InputError as error:
         if not isinstance(disk := error.__cause__, OSError):
             raise
@@ -82,7 +84,7 @@ def demo(*, out: Annotated[Path, WRITTEN] = Path("demo"), quick: Flag = False) -
     progress("fitting calibration and tables, judging a worn trial", RECORDED)
     fit, trials = _judge_trials(device, out)
     progress("report", FITTED)
-    report = _report(out, run, fit, trials, compare_with_truth(fit, trials, device))
+    report = _report(out, _bench(protocols, runs), fit, trials, compare_with_truth(fit, trials, device))
     origin = origin_of(out / "trial.parquet", out / "reference.parquet", out / "calibration.json")
     write_report(out / "report.html", report, origin)
     save_json(out / "summary.json", as_json(report, "demo"))
@@ -111,20 +113,21 @@ def _is_demo(out: Path) -> bool:
         return {path.name for path in out.iterdir()} <= {*RUNS, *FILES} and (out / "bench" / "protocol.toml").is_file()
 
 
-def _judge_trials(device: DeviceModel, out: Path) -> tuple[BenchFit, tuple[Trial, ...]]:
+def _judge_trials(device: DeviceModel, out: Path) -> tuple[DriftFit, tuple[Trial, ...]]:
     """Fit calibration and tables, and judge a worn trial at each level of correction."""
-    fit = fit_bench(read_session(out / "bench"), read_session(out / "thermal"))
-    write_calibration(fit.drift.calibration, out / "calibration.json")
+    bench, thermal = read_session(out / "bench"), read_session(out / "thermal")
+    fit = fit_drift((bench, thermal), calibrate(bench))
+    write_calibration(fit.calibration, out / "calibration.json")
     trial = worn_trial(device, seed=SEED)
     write_record(trial[0], out / "trial.parquet")
     write_reference(trial[1], out / "reference.parquet")
     record = read_record(out / "trial.parquet")  # judge the data that are on the disk
     corrected = correct_checked(record, read_calibration(out / "calibration.json"))
     write_record(corrected.record, out / "corrected.parquet")
-    return fit, judge_compared(fit.drift.calibration, record, read_reference(out / "reference.parquet"))
+    return fit, judge_compared(fit.calibration, record, read_reference(out / "reference.parquet"))
 
 
-def _report(out: Path, run: BenchRun, fit: BenchFit, trials: tuple[Trial, ...], checks: tuple[Check, ...]) -> Report:
+def _report(out: Path, bench: Table, fit: DriftFit, trials: tuple[Trial, ...], checks: tuple[Check, ...]) -> Report:
     none, _, full, rest, both = (f"{trial.figures.max_abs_pitch_deg:.2f} deg" for trial in trials)
     return Report(
         title="undrift demo: the note's method on a simulated bench",
@@ -132,15 +135,15 @@ def _report(out: Path, run: BenchRun, fit: BenchFit, trials: tuple[Trial, ...], 
         f"calibration, {rest} with the offset of a rest before the motion, {full} with tables over temperature, {both} "
         "with both.",
         tables=[_levels(trials), _truth(checks)],
-        details=[_bench(run)],
+        details=[bench],
         notes=[NOTE],
         # of the recommended level: tables remove the remaining errors of constants
-        findings=[*fit.drift.verdict.findings, *trials[-1].findings, *_failed(checks)],
+        findings=[*fit.verdict.findings, *trials[-1].findings, *_failed(checks)],
         judged=True,
         figures=[lambda: draw_levels(trials)],
         written=[out / "report.html", out / "calibration.json", out / "corrected.parquet"],
         data={
-            "calibration": calibration_json(fit.drift.calibration),
+            "calibration": calibration_json(fit.calibration),
             "checks": [{"name": c.name, "value": c.value, "limit": c.limit, "pass": c.passed} for c in checks],
         },
         next_command=("info", out / "calibration.json", "--report", "calibration.html"),
@@ -186,7 +189,7 @@ def _failed(checks: tuple[Check, ...]) -> tuple[Finding, ...]:
     return (finding("demo.check", "fail", sentence, "Please report this.", failed=len(names)),)
 
 
-def _bench(run: BenchRun) -> Table:
+def _bench(protocols: tuple[Protocol, ...], runs: tuple[RunResult, ...]) -> Table:
     """Return the runs on the simulated bench."""
     rows = [
         (
@@ -197,7 +200,7 @@ def _bench(run: BenchRun) -> Table:
             result.duration_s / 60.0,
             result.rig,
         )
-        for protocol, result in ((run.plan.bench, run.bench), (run.plan.thermal, run.thermal))
+        for protocol, result in zip(protocols, runs, strict=True)
     ]
     columns = ("run folder", "dwells", "of them turns", "set-points (degC)", "table time (min)", "rig")
     return Table(title="The simulated bench", columns=columns, rows=rows, form=".1f", note=BENCH)

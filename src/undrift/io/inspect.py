@@ -189,15 +189,12 @@ def find_saturated(record: Record) -> tuple[Finding, ...]:
 
 def saturated_runs(column: FloatArray) -> Iterator[tuple[float, IntArray]]:
     """Return each limit at which readings (N,) stick, and the stretches (R, 2) in which they do."""
-    met = np.ascontiguousarray(
-        column[::STUCK]
-    )  # a stretch that is as long has one of these in it, and the same reading beside it
     for end in (np.fmax, np.fmin) if len(column) >= 2 * STUCK else ():
-        limit = end.reduce(met)
-        at = STUCK * np.flatnonzero(met == limit)
-        if not any(limit in column[max(0, k - 1) : k + 2 : 2] for k in at) or end.reduce(column) != limit:
+        limit = end.reduce(column)
+        at_limit = column == limit
+        if np.count_nonzero(at_limit) < STUCK:
             continue
-        stuck = runs(column == limit)
+        stuck = runs(at_limit)
         stuck = stuck[stuck[:, 1] - stuck[:, 0] >= STUCK]
         if len(stuck) and np.isfinite(column).sum() >= 2 * STUCK and _ends_range(column, float(limit), stuck):
             yield float(limit), stuck

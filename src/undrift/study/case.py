@@ -36,6 +36,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 WORN_S = 1800.0  # the device has been on for half an hour
 REST_S = 6.0  # the note's rest before a motion
+TRIALS_KEPT = 128  # true motions that a process keeps: stages of a study share them
 REST_ENDS_S = 0.2  # before the motion: a person leans before the marked start
 
 OffsetRule = Literal["rest", "motion", "none"]
@@ -137,11 +138,16 @@ class Case:
     moving: slice  # samples of the motion
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=TRIALS_KEPT)
 def true_motion(performed: Task | RecordedTask) -> Motion:
     """Return the motion of a task at the sample rate of a study."""
     time = np.arange(round(performed.duration_s * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
     return performed.at(time, STANDARD_GRAVITY)
+
+
+@lru_cache(maxsize=TRIALS_KEPT)
+def _true_pitch(performed: Task | RecordedTask) -> FloatArray:
+    return sagittal_pitch(true_motion(performed).q_nb)
 
 
 def simulate_worn(
@@ -154,7 +160,7 @@ def simulate_worn(
 def make_case(device: DeviceModel, performed: Task | RecordedTask, worn: Simulated, *, aligned: bool = True) -> Case:
     """Return the case of a device that differs from the simulated one in its low-passes only."""
     start, stop = (round(moment * SAMPLE_RATE_HZ) for moment in performed.moving_s)
-    pitch = sagittal_pitch(true_motion(performed).q_nb)
+    pitch = _true_pitch(performed)
     delayed = _delayed(pitch, pitch_delay_s(device) * SAMPLE_RATE_HZ)
     return Case(
         record=_filtered(device, worn),

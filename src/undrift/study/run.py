@@ -23,6 +23,7 @@ from undrift.study.case import (
     ASSUMED,
     EFFECTS,
     REST_S,
+    TRIALS_KEPT,
     Case,
     EffectName,
     OffsetRule,
@@ -76,7 +77,7 @@ def perform(study: Study, task: StudyTask, number: int) -> list[Task | RecordedT
     return [_drawn(study.seed, study.group, task.name, study.kind(task.category), number)]
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=TRIALS_KEPT)
 def _drawn(seed: int, group: Group, task: str, kind: Kind, number: int) -> Task:
     people = cohort(group, rng=stream(seed, "cohort", group, number // 30), category=kind)
     rng, subject = stream(seed, group, "task", task, number), people[number % len(people)]

@@ -14,6 +14,7 @@ varied are simulated as means of dwells.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -61,7 +62,7 @@ Kind = Literal["hand", "poses", "motion", "table"]
 Fit = Literal["product", "paper"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class CalibrationSession:
     """A calibration session by its name."""
 
@@ -71,17 +72,16 @@ class CalibrationSession:
     protocol: Protocol | None = None  # of a rate table
     by_means: bool = False  # simulated as means of dwells, which is faster
 
-    @property
+    @cached_property
     def length_min(self) -> float:
         """Length of the session with its mountings and soaks, min."""
-        if self.protocol is not None:
-            warming = WARMING_MIN if self.warm else 0.0
-            return programme_of(replace(self.protocol, faces_at="room")).duration_s / 60.0 + warming
         if self.kind == "motion":
             return 0.5 * MOTION_RECORDINGS
-        kinds: dict[str, BenchKind] = {"hand": "ferraris", "poses": "multi_position"}
-        motion = bench_motion(kinds[self.kind], rng=np.random.default_rng(0))
-        return float(motion.time[-1]) / 60.0 + (WARMING_MIN if self.warm else 0.0)
+        warming = WARMING_MIN if self.warm else 0.0
+        if self.protocol is not None:
+            return programme_of(replace(self.protocol, faces_at="room")).duration_s / 60.0 + warming
+        kind: BenchKind = "ferraris" if self.kind == "hand" else "multi_position"
+        return float(bench_motion(kind, rng=np.random.default_rng(0)).time[-1]) / 60.0 + warming
 
     @property
     def at_one_temperature(self) -> "CalibrationSession":

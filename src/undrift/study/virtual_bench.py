@@ -9,20 +9,18 @@ busy the host is. The chamber heats by 10 K per second, and the board, with its 
 Real soaks take hours. Only ``compare_with_truth`` uses the hidden truth.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.calibration.calibrate import calibrate
-from undrift.drift.fit import DriftFit, fit_drift
+from undrift.drift.fit import DriftFit
 from undrift.errors import InputError
-from undrift.model import Calibration
-from undrift.programme import Programme, ProgrammeSettings, Protocol, programme_of
-from undrift.record import FACES, Record, Reference, Session
+from undrift.programme import ProgrammeSettings, Protocol, programme_of
+from undrift.record import FACES, Record, Reference
 from undrift.rig.chamber import ChamberSetup
 from undrift.rig.folder import RunFolder
 from undrift.rig.lock import stopping_on_signals
@@ -51,31 +49,8 @@ SETTLE_S = 35.0  # forecast of the air: overshoot, then the window
 Tell = Callable[[str, float], None]  # receives the current activity, and the share of the recordings that is done
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BenchPlan:
-    """Recordings of a simulated bench."""
-
-    bench: Protocol  # At room temperature
-    thermal: Protocol  # At set-points
-
-    @property
-    def programmes(self) -> tuple[Programme, Programme]:
-        """Both written out, with a forecast for this chamber."""
-        settings = ProgrammeSettings(mount_s=0.5, heating_c_per_min=AIR.ramp_c_per_min, settle_s=SETTLE_S)
-        return programme_of(self.bench, settings), programme_of(self.thermal, settings)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BenchRun:
-    """What was recorded."""
-
-    plan: BenchPlan
-    bench: RunResult
-    thermal: RunResult
-
-
-def bench_plan(*, quick: bool = False) -> BenchPlan:
-    """Return the recordings of the demo."""
+def bench_protocols(*, quick: bool = False) -> tuple[Protocol, Protocol]:
+    """Return the protocols of the demo: at room temperature, and at set-points."""
     seconds = 3.0
     few = Protocol(
         name="thermal",
@@ -92,7 +67,7 @@ def bench_plan(*, quick: bool = False) -> BenchPlan:
     )
     least = (45.0 if quick else 15.0) * RADIAN_PER_DEGREE
     room = replace(few, name="bench", faces=FACES, bracket_s=seconds, temperatures_c=())
-    return BenchPlan(bench=replace(room, turn_rate_min=least, turn_rate_step=least), thermal=few)
+    return replace(room, turn_rate_min=least, turn_rate_step=least), few
 
 
 def bench_device() -> DeviceModel:
@@ -101,46 +76,29 @@ def bench_device() -> DeviceModel:
     return replace(unit, thermometer=replace(unit.thermometer, lag_s=THERMOMETER_LAG_S))
 
 
-def record_on_bench(plan: BenchPlan, device: DeviceModel, folder: Path, *, tell: Tell) -> BenchRun:
-    """Simulate a bench with a device on it and record both protocols."""
-    bench = SimulatedBench((device,), SimulatedSettings(air=AIR, chamber=SOAK))
+def record_on_bench(
+    protocols: Sequence[Protocol], device: DeviceModel, folder: Path, *, tell: Tell
+) -> tuple[RunResult, ...]:
+    """Simulate a bench with a device on it, and record each protocol into a folder of its own."""
+    bench, results = SimulatedBench((device,), SimulatedSettings(air=AIR, chamber=SOAK)), list[RunResult]()
+    settings = ProgrammeSettings(mount_s=0.5, heating_c_per_min=AIR.ramp_c_per_min, settle_s=SETTLE_S)
     with stopping_on_signals():
-        first = _record(plan, 0, bench, folder, tell)
-        second = _record(plan, 1, bench, folder, tell)
-    return BenchRun(plan=plan, bench=first, thermal=second)
+        for done, protocol in enumerate(protocols):
+
+            def report(progress: Progress, name: str = protocol.name, done: int = done) -> None:
+                text = f"{name} {progress.number + 1}/{progress.steps}: {progress.step}, {progress.phase}"
+                tell(text, (done + progress.number / progress.steps) / len(protocols))
+
+            chamber = bench.chamber if protocol.temperatures_c else None
+            connected = RigBench(rig=bench.table, mounting=bench, chamber=chamber, clock=bench.clock)
+            with RunFolder(folder / protocol.name, protocol) as run:
+                mounted = Mounted(readings=bench.readings[0], folder=run, serial=device.serial)
+                programme = programme_of(protocol, settings)
+                results += run_programme(programme, connected, mounted, report=report, gravity_m_s2=STANDARD_GRAVITY)
+    return tuple(results)
 
 
-def _record(plan: BenchPlan, which: int, bench: SimulatedBench, path: Path, tell: Tell) -> RunResult:
-    """Run a protocol into a folder of its own."""
-    protocol, programme = (plan.bench, plan.thermal)[which], plan.programmes[which]
-
-    def report(progress: Progress) -> None:
-        text = f"{protocol.name} {progress.number + 1}/{progress.steps}: {progress.step}, {progress.phase}"
-        tell(text, 0.5 * (which + progress.number / progress.steps))
-
-    with RunFolder(path / protocol.name, protocol) as folder:
-        chamber = bench.chamber if protocol.temperatures_c else None
-        connected = RigBench(rig=bench.table, mounting=bench, chamber=chamber, clock=bench.clock)
-        mounted = Mounted(readings=bench.readings[0], folder=folder, serial=bench.devices[0].model.serial)
-        (result,) = run_programme(programme, connected, mounted, report=report, gravity_m_s2=STANDARD_GRAVITY)
-    return result
-
-
-# ---- fits and the worn trial
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class BenchFit:
-    """Results of the runs."""
-
-    constant: Calibration  # calibration from the bench run only
-    drift: DriftFit  # Its calibration has the tables
-
-
-def fit_bench(bench: Session, thermal: Session) -> BenchFit:
-    """Fit the recordings of a simulated bench."""
-    constant = calibrate(bench)
-    return BenchFit(constant=constant, drift=fit_drift((bench, thermal), constant))
+# ---- the worn trial
 
 
 def worn_trial(device: DeviceModel, *, seed: int) -> tuple[Record, Reference]:
@@ -173,10 +131,10 @@ class Check(NamedTuple):
         return bool(self.value <= self.limit)
 
 
-def compare_with_truth(fit: BenchFit, trials: tuple[Trial, ...], device: DeviceModel) -> tuple[Check, ...]:
+def compare_with_truth(fit: DriftFit, trials: tuple[Trial, ...], device: DeviceModel) -> tuple[Check, ...]:
     """Compare the fits with the hidden truth, and the errors of the trial with each other."""
-    estimate, true = fit.constant, true_calibration(device, temp_c=ROOM_TEMP_C)
-    tables, observed = fit.drift.calibration.drift, fit.drift.static.gyro
+    estimate, true = fit.calibration, true_calibration(device, temp_c=ROOM_TEMP_C)
+    tables, observed = estimate.drift, fit.static.gyro
     triads = (estimate.gyro, estimate.accel, true.gyro, true.accel)
     if tables is None or tables.static is None or observed is None or any(triad is None for triad in triads):
         raise InputError("demo: a matrix or the offsets over temperature are missing. Run both programmes.")
