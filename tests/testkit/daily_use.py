@@ -107,6 +107,6 @@ def _on_a_table(rng: np.random.Generator, settings: DailyUseSettings) -> Motion:
     script = Script(settings.sample_rate_hz, up / np.linalg.norm(up))
     script.still(settings.rest_s)
     axis = rng.standard_normal(3)
-    script.turn_to(turn_quaternion(axis / np.linalg.norm(axis), np.array([rng.uniform(0.5, 1.5)]))[0], 3.0)
+    script.lay(turn_quaternion(axis / np.linalg.norm(axis), np.array([rng.uniform(0.5, 1.5)]))[0], 3.0)
     script.still(0.5 * settings.rest_s)
     return script.motion(STANDARD_GRAVITY)

@@ -31,7 +31,7 @@ from undrift.programme import Dwell, Protocol, programme_of
 from undrift.record import FACES
 from undrift.sim.device.effects import RATIO, Past, Scene, SensorChain, effects_of
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.motion.bench import BenchErrors
+from undrift.sim.motion.bench import BenchErrors, turned
 from undrift.sim.motion.motion import unit_vector
 from undrift.units import STANDARD_GRAVITY
 
@@ -147,12 +147,6 @@ def impose_faces(session: TableSession, errors: BenchErrors, draws: BenchDraws) 
     return ImposedDwells(
         start_s=session.start_s, duration_s=session.duration_s, rate_b=np.zeros_like(up), force_b=STANDARD_GRAVITY * up
     )
-
-
-def turned(axis_b: FloatArray, tilt: FloatArray) -> FloatArray:
-    """Return unit vectors turned by small rotations, (N, 3)."""
-    off = axis_b + np.cross(tilt, axis_b)
-    return np.asarray(off / np.linalg.norm(off, axis=1, keepdims=True))
 
 
 # ---- mean readings of a device

@@ -10,7 +10,7 @@ from testkit.data import show
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotation_vector
 from undrift.record import Reference
-from undrift.sim.motion.motion import wave
+from undrift.sim.motion.motion import Sway
 from undrift.sim.motion.poses import (
     OpticsSettings,
     PoseSettings,
@@ -28,7 +28,7 @@ def tumble(duration_s: float = 20.0) -> Task:
     """A body that turns about all axes while it travels along all."""
 
     def swung(amplitude, frequency, phase):
-        return (wave(amplitude, frequency, phase, -10.0, duration_s + 10.0),)
+        return (Sway((amplitude,), (frequency,), (phase,), -10.0, duration_s + 10.0, 1.0),)
 
     return Task(
         name="tumble",

@@ -7,7 +7,7 @@ import pytest
 
 from testkit.data import show
 from undrift.frames import integrate_strapdown, quaternion_conjugate, quaternion_product, rotate
-from undrift.sim.motion.motion import Burst, CourseTerm, Step, Sway, ViaPoint, wave
+from undrift.sim.motion.motion import Burst, CourseTerm, Step, Sway, ViaPoint
 from undrift.sim.motion.tasks import (
     CATEGORIES,
     GROUP_SIZE,
@@ -26,7 +26,7 @@ from undrift.sim.motion.tasks import (
 PARTS: dict[str, CourseTerm] = {
     "step": Step(0.4, 1.3, 0.7),
     "via-point": ViaPoint(0.4, 0.9, 1.4, 0.6, -0.5),
-    "wave": wave(0.5, 0.8, 0.3, 0.2, 3.6),
+    "wave": Sway((0.5,), (0.8,), (0.3,), 0.2, 3.6, 1.0),
     "sway": Sway((0.3, 0.2, 0.1), (0.2, 0.7, 1.9), (0.0, 1.0, 2.0), 0.2, 3.6, 1.5),
     "burst": Burst(0.05, 3.0, 0.5, 0.2),
 }

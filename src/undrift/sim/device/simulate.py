@@ -80,7 +80,6 @@ class Simulated:
     record: Record  # readings of the device, NaN if the motion is unknown
     gyro: SimulatedTriad
     accel: SimulatedTriad
-    temp_c: FloatArray  # (M,), true temperature of the board, degC
     true_time: FloatArray  # (M,), true times of the samples on the clock of the motion, s
 
 
@@ -169,8 +168,7 @@ def simulate_device(
         accel_unit=model.accel.unit,
         device=model.serial,
     )
-    temp_taken = true_temp if clock.on_grid else np.interp(taken, scene.time, true_temp)
-    return Simulated(record=record, gyro=gyro, accel=accel, temp_c=temp_taken, true_time=taken)
+    return Simulated(record=record, gyro=gyro, accel=accel, true_time=taken)
 
 
 def _triad(

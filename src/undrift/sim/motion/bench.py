@@ -135,7 +135,7 @@ def steady_rates(script: Script, settings: BenchSettings, streams: Streams) -> N
     off_level, gain = level_of(table, streams), gain_of(table, streams)
     bearing.normal(size=2), motor.normal()  # level and gain are the first draws of these two
     for axis, face in zip(AXES, UPS, strict=True):
-        table_axis = _off(unit_vector(axis), mount.normal(0.0, table.mount_tilt, 3))
+        table_axis = turned(unit_vector(axis), mount.normal(0.0, table.mount_tilt, 3))
         level = facing(script.q, table_axis)  # orientation with the table's axis vertical, then tilted
         if table.level > 0.0:
             level = quaternion_product(off_level, level)
@@ -149,7 +149,7 @@ def steady_rates(script: Script, settings: BenchSettings, streams: Streams) -> N
                 label_rate = _read_rate(table, true / gain, settings.dwell_s, servo) if table.encoder_lines else signed
                 azimuth += 0.5 * true * settings.ramp_s
                 uneven = (ripple, azimuth, excess, table.settle_s)
-                wobbling = _off(table_axis, bearing.normal(0.0, table.wobble, 3))
+                wobbling = turned(table_axis, bearing.normal(0.0, table.wobble, 3))
                 script.spin(
                     axis, wobbling, true, settings.ramp_s, settings.dwell_s, stated_rate=label_rate, uneven=uneven
                 )
@@ -164,10 +164,10 @@ def _read_rate(table: BenchErrors, turn_rate: float, dwell_s: float, draw: np.ra
     return (math.floor(phase + turn_rate * dwell_s / count) - math.floor(phase)) * count / dwell_s
 
 
-def _off(axis_b: FloatArray, tilt: FloatArray) -> FloatArray:
-    """Return a unit vector turned by a small random rotation, (3,)."""
+def turned(axis_b: FloatArray, tilt: FloatArray) -> FloatArray:
+    """Return unit vectors turned by small rotations, (..., 3)."""
     off = axis_b + cross(tilt, axis_b)
-    return np.asarray(off / np.linalg.norm(off))
+    return np.asarray(off / np.linalg.norm(off, axis=-1, keepdims=True))
 
 
 def _hand_turns(script: Script, settings: BenchSettings, streams: Streams) -> None:
@@ -175,7 +175,7 @@ def _hand_turns(script: Script, settings: BenchSettings, streams: Streams) -> No
         unit = unit_vector(axis)
         script.lay(facing(script.q, unit), settings.move_s)
         script.still(settings.still_s)
-        script.hand_turn(axis, HAND_ANGLE, 2.0 * settings.move_s, _off(unit, tilt))
+        script.hand_turn(axis, HAND_ANGLE, 2.0 * settings.move_s, turned(unit, tilt))
         script.still(settings.still_s)
 
 

@@ -137,14 +137,11 @@ class Sway:
         """Return value, first and second derivative: time (N,) s -> (3, N)."""
         rise = Step(self.start_s, self.swell_s, 1.0).at(time)
         e, e1, e2 = rise - Step(self.stop_s - self.swell_s, self.swell_s, 1.0).at(time)
-        v, v1, v2 = self._full(time)
+        v, v1, v2 = self._steady(time)
         return np.stack((e * v, e1 * v + e * v1, e2 * v + 2.0 * e1 * v1 + e * v2))
 
-    def _full(self, time: FloatArray) -> FloatArray:
-        """Return the sum at full amplitude, as above.
-
-        In blocks of an even grid, t = t_i + s_j, so exp(j w t) = exp(j w t_i) exp(j w s_j).
-        """
+    def _steady(self, time: FloatArray) -> FloatArray:
+        # on an even grid in blocks, t = t_i + s_j, so exp(j w t) = exp(j w t_i) exp(j w s_j)
         size = math.isqrt(len(time)) + 1
         begin, inside = time[::size], time[:size] - time[0]
         if np.abs((begin[:, None] + inside).ravel()[: len(time)] - time).max() > EVEN_S:
@@ -153,13 +150,6 @@ class Sway:
         lines = np.array(self.amplitudes) * np.exp(1j * np.array(self.phases)) * speed ** [[0], [1], [2]]
         total = (lines[:, None] * np.exp(np.outer(begin, speed))) @ np.exp(np.outer(speed, inside))
         return np.asarray(total.imag.reshape(3, -1)[:, : len(time)])
-
-
-def wave(
-    amplitude: float, frequency_hz: float, phase: float, start_s: float, stop_s: float, swell_s: float = 1.0
-) -> Sway:
-    """Return a sinusoid, rad or m, that swells at the start and ebbs at the end."""
-    return Sway((amplitude,), (frequency_hz,), (phase,), start_s, stop_s, swell_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -345,20 +335,16 @@ class Script:
         start, stop = self._turn(duration_s, np.array([1.0, 0.0, 0.0]), REST)
         self.stills.append(Still(start=start + (start > 0), stop=stop, face=face))
 
-    def turn_to(self, q: FloatArray, duration_s: float) -> None:
-        """Turn smoothly, by the shortest way, to an orientation: q (4,)."""
+    def lay(self, q: FloatArray, duration_s: float) -> None:
+        """Turn smoothly, by the shortest way, to an orientation, or begin there: q (4,)."""
+        if not self.samples:
+            self.q = q
+            return
         step = quaternion_product(quaternion_conjugate(self.q), q)
         step = step if step[0] >= 0.0 else -step
         sine = float(np.linalg.norm(step[1:]))
         axis = step[1:] / sine if sine > 1e-12 else np.array([1.0, 0.0, 0.0])
         self._turn(duration_s, axis, SMOOTH.times(2.0 * np.arctan2(sine, step[0])))
-
-    def lay(self, q: FloatArray, duration_s: float) -> None:
-        """Turn to an orientation, or begin there: q (4,)."""
-        if self.samples:
-            self.turn_to(q, duration_s)
-        else:
-            self.q = q
 
     def hand_turn(self, axis: Axis, angle: float, duration_s: float, axis_b: FloatArray) -> None:
         """Turn by hand through an angle, at a rate that is anything but constant: axis_b (3,)."""
@@ -380,7 +366,7 @@ class Script:
 
         `uneven` is (ripple, azimuth, excess, settle_s).
         """
-        ramp, dwell = self._whole(ramp_s), self._whole(dwell_s)
+        ramp, dwell = (round(length_s * self.sample_rate_hz) / self.sample_rate_hz for length_s in (ramp_s, dwell_s))
         self._turn(ramp_s, axis_b, RAMP_UP.times(turn_rate * ramp))
         start, stop = self._turn(dwell_s, axis_b, UnevenAngle(turn_rate, dwell, *uneven))
         self.turns.append(Turn(start=start + 1, stop=stop, axis=axis, turn_rate=stated_rate))
@@ -418,9 +404,6 @@ class Script:
             self.q = quaternion_product(self.q, turn_quaternion(axis_b, angle.at(1.0)[0]))
             self.q = self.q / np.linalg.norm(self.q)
         return start, stop
-
-    def _whole(self, duration_s: float) -> float:
-        return round(duration_s * self.sample_rate_hz) / self.sample_rate_hz
 
 
 def unit_vector(name: str) -> FloatArray:

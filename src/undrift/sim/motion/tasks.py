@@ -62,7 +62,6 @@ from undrift.sim.motion.motion import (
     course_at,
     mean_rate,
     turn_quaternion,
-    wave,
 )
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -539,7 +538,4 @@ def _waves(
     frequencies = draw.uniform(*band_hz, count)
     amplitudes = amplitude * draw.uniform(0.5, 1.5, count)
     phases = draw.uniform(0.0, 2.0 * math.pi, count)
-    return tuple(
-        wave(*numbers, *span, swell_s)
-        for numbers in zip(amplitudes.tolist(), frequencies.tolist(), phases.tolist(), strict=True)
-    )
+    return (Sway(tuple(amplitudes.tolist()), tuple(frequencies.tolist()), tuple(phases.tolist()), *span, swell_s),)
