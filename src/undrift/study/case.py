@@ -173,7 +173,7 @@ def make_case(device: DeviceModel, performed: Task | RecordedTask, worn: Simulat
 
 def _filtered(device: DeviceModel, worn: Simulated) -> Record:
     """Return the readings of a simulated trial with the low-passes of a device."""
-    readings = {}
+    readings = dict[str, Any]()
     for name in ("gyro", "accel"):
         chain, triad = getattr(device, name), getattr(worn, name)
         signal = triad.true + sum(x for effect, x in triad.contributions.items() if effect not in ("low_pass", "adc"))

@@ -91,6 +91,7 @@ def unpack(fit: Fit, device: DeviceModel, reference_temp_c: float) -> Calibratio
     for name, array in fit.items():
         source, _, field = name.partition(".")
         parts.setdefault(source, {})[field] = array
+    more: dict[str, Any] = {name: parts["gyro"].get(name) for name in GYRO_ONLY}
     gyro = bare_model("gyro", device.gyro.unit, parts["gyro"]["matrix"], parts["gyro"]["offset"])
     drift = None
     if "lag" in parts:
@@ -101,7 +102,7 @@ def unpack(fit: Fit, device: DeviceModel, reference_temp_c: float) -> Calibratio
         device=device.serial,
         reference_temp_c=reference_temp_c,
         gravity_m_s2=STANDARD_GRAVITY,
-        gyro=replace(gyro, **{name: parts["gyro"].get(name) for name in GYRO_ONLY}),
+        gyro=replace(gyro, **more),
         accel=bare_model("accel", device.accel.unit, parts["accel"]["matrix"], parts["accel"]["offset"]),
         drift=drift,
     )
