@@ -34,7 +34,7 @@ from undrift.orientation import OrientSettings, heading_of, orient
 from undrift.record import Record, Reference
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.simulate import simulate_device
-from undrift.sim.motion.motion import Course, Step, wave
+from undrift.sim.motion.motion import Course, Step, Sway
 from undrift.sim.motion.tasks import Task, draw_task
 from undrift.sim.sessions import simulate_session
 from undrift.sync import seen_poses
@@ -265,9 +265,9 @@ def walk(rng: np.random.Generator) -> Task:
     cadence = CADENCE_HZ * rng.uniform(0.9, 1.1)
     courses: dict[str, Course] = {
         name: tuple(
-            wave(
-                size * rng.uniform(0.8, 1.2) * (RADIAN_PER_DEGREE if name in ("roll", "pitch", "yaw") else 1.0),
-                share * cadence, rng.uniform(0.0, 2.0 * np.pi), start, stop,
+            Sway(
+                (size * rng.uniform(0.8, 1.2) * (RADIAN_PER_DEGREE if name in ("roll", "pitch", "yaw") else 1.0),),
+                (share * cadence,), (rng.uniform(0.0, 2.0 * np.pi),), start, stop, 1.0,
             )
             for size, share in WALK[name]
         )
