@@ -12,12 +12,12 @@ Sources of error of dwell or rest i, in the frame of the case:
     noise, adc     M n_i                       noise and rounding of the mean
     rate           w_i r                       common error of all given rates
     mounting       w_i (d_i + e_i)             axis of the table, from gravity or as given, and its wobble
-    ripple         w_i (p_m(psi_i) + u_i)      ripple of the rate with the azimuth psi of the table, if a dwell is shorter
-                                               than a turn, and differences from dwell to dwell
+    ripple         w_i u_i                     differences of the rate from dwell to dwell, and ripple that whole turns do not
+                                               average out
     temperature    warmth_i (alpha + beta w_i) dependence of offset and scale on temperature
     instability    flicker, drift and q_k B    offset, with the covariance B of a random walk about its mean over the session
 
-The sizes of e, p, u and q_k of each sensor are excess variances of the residuals (fit/gls.py). The offset is the mean over the
+The sizes of e, u and q_k of each sensor are excess variances of the residuals (fit/gls.py). The offset is the mean over the
 session. Parameters that the session does not determine keep their prior: G, and the columns of axes that the table did not turn.
 """
 
@@ -188,10 +188,7 @@ def _excess(dwells: DwellMeans) -> dict[str, FloatArray]:
     if dwells.noise is None:
         return {"noise": np.ones(dwells.reading.size)}
     along = (dwells.axis_b * dwells.turn_rate[:, None]).ravel()
-    shapes = {"mounting wobble": _rate_across(dwells) ** 2, "ripple": along**2}
-    if dwells.axes is not None and dwells.axes.ripple.any():
-        shapes["ripple azimuth"] = np.kron(dwells.axes.ripple, np.ones((3, 3))) * np.outer(along, along)
-    return shapes | walks_of(dwells.span)
+    return {"mounting wobble": _rate_across(dwells) ** 2, "ripple": along**2} | walks_of(dwells.span)
 
 
 def _rate_across(dwells: DwellMeans) -> FloatArray:

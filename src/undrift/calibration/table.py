@@ -25,7 +25,6 @@ from undrift.record import Axis, Face, RateTable, Record, Still, Turn
 from undrift.units import EARTH_RATE, RADIAN_PER_DEGREE
 
 LEAST_SAMPLES = 8
-WHOLE_TURN = 0.01  # mean ripple of a dwell, as a share of its amplitude: below it the dwell contains whole turns
 FILTER_S = 0.3  # settling time of a second-order filter at 11 Hz to 1e-6, which gravity means omit at a dwell's start
 MOST_BLOCKS = 12  # means of the specific force in one dwell
 MIN_TILT_SD = 1e-6  # rad, of block means of the direction of gravity: sound arithmetic
@@ -39,7 +38,6 @@ class TableAxes:
 
     direction: FloatArray  # (N, 3), axis of each dwell
     columns: FloatArray  # (N, 3, C), errors of ``direction`` from C independent causes, one standard deviation each
-    ripple: FloatArray  # (N, N), covariance of the relative rates by a ripple of unit amplitude
     rate: float  # relative standard uncertainty common to all given rates
 
 
@@ -77,7 +75,6 @@ class DwellMeans:
                 axes,
                 direction=np.pad(axes.direction, ((0, count), (0, 0))),
                 columns=np.pad(axes.columns, ((0, count), (0, 0), (0, 0))),
-                ripple=np.pad(axes.ripple, (0, count)),
             )
         return replace(
             self,
@@ -167,14 +164,15 @@ def imposed_rates(dwells: DwellMeans, latitude_deg: float | None) -> FloatArray:
 
 # ---- axis of the table in the case, from gravity as the accelerometers measure it
 #
-# In a mounting, axis k of the case is along the axis of the table, which leaves the vertical by l. The device turns about k + d:
-# d is small, across k, and common to the mounting. The accelerometers are at a distance r from the axis, and e_i and e'_i are the
-# wobble of dwell i. Block means of the specific force across k, at the rate w_i and azimuth psi:
+# In a mounting, axis k of the case is along the axis of the table. The device turns about k + d: d is small, across k, and common
+# to the mounting. The accelerometers are at a distance r from the axis, which leaves the vertical by l_i in dwell i, in the frame
+# of the table at the start of the dwell. e_i and e'_i are the wobble. Block means of the specific force across k, at the rate w_i
+# and the angle psi since the start:
 #
-#     f / g = d + e_i + R_k(-psi) (l + e'_i) - r w_i^2 / g + noise
+#     f / g = d + e_i + R_k(-psi) (l_i + e'_i) - r w_i^2 / g + noise
 #
-# d, r, and l of each recording have priors. Noise and wobble have excess variances. psi is the integral of the gyroscope of axis k.
-# The errors of the accelerometers are common to all mountings: df = dM s - M do. Without accelerometers d is zero, with the stated
+# d and r have priors, l has a stated size, and noise and wobble have excess variances. Over whole turns the level averages out. The
+# errors of the accelerometers are common to all mountings: df = dM s - M do. Without accelerometers d is zero, with the stated
 # uncertainty of the mounting.
 
 
@@ -223,7 +221,7 @@ def table_axes(
     """
     axis, count = np.array([AXES.index(name) for name in dwells.axis], int), len(dwells.axis)
     up, direction, columns = np.broadcast_to(dwells.up, count), np.eye(3)[axis], list[FloatArray]()
-    azimuths, accel_columns = _azimuths(records, turns, mounting, dwells), np.zeros((count, 3, 12))
+    accel_columns = np.zeros((count, 3, 12))
     for number in np.unique(mounting):
         rows: list[int] = np.flatnonzero(mounting == number).tolist()
         k, gravity = int(axis[rows[0]]), float(gravity_m_s2 * up[rows].mean())
@@ -232,12 +230,10 @@ def table_axes(
         wobble = table.wobble_deg * RADIAN_PER_DEGREE * np.eye(len(rows))
         if accel is not None and abs(gravity) == gravity_m_s2:
             parts = [
-                _force_in_dwell(records[turns[n].recording], turns[n], azimuths[n], accel, level_axes, settle_s)
-                for n in rows
+                _force_in_dwell(records[turns[n].recording], turns[n], accel, level_axes, settle_s) for n in rows
             ]
             if all(len(part) for part in parts):
-                recordings = [turns[n].recording for n in rows]
-                tilt, covariance = _tilt_by_gravity(parts, dwells.turn_rate[rows], recordings, table, gravity)
+                tilt, covariance = _tilt_by_gravity(parts, dwells.turn_rate[rows], table, gravity)
                 readings = [np.asarray(record.accel) for record in records]
                 windows = [readings[turns[n].recording][turns[n].start : turns[n].stop] for n in rows]
                 # all dwells measure the same gravity, with the same rounding error
@@ -257,89 +253,49 @@ def table_axes(
     return TableAxes(
         direction=direction / np.linalg.norm(direction, axis=1)[:, None],
         columns=np.concatenate(columns, axis=2),
-        ripple=_ripple(records, turns, mounting, azimuths, settle_s),
         rate=table.rate_uncertainty,
     )
 
 
-def _azimuths(
-    records: Sequence[Record], turns: Sequence[Turn], mounting: IntArray, dwells: DwellMeans
-) -> list[FloatArray]:
-    """Return the angle of the table at the samples of each dwell's recording, or NaN if the gyroscope cannot measure it.
-
-    It is the integral of the gyroscope of the dwell's axis, over all dwells of a mounting in one recording.
-    """
-    from scipy.integrate import cumulative_trapezoid
-
-    azimuths = [np.full(len(records[turn.recording]), np.nan) for turn in turns]
-    stretches = [(turn.recording, int(number)) for turn, number in zip(turns, mounting, strict=True)]
-    for stretch in set(stretches):
-        rows = [n for n, other in enumerate(stretches) if other == stretch]
-        record, axis = records[stretch[0]], dwells.axis[rows[0]]
-        about = [n for n, other in enumerate(dwells.axis) if other == axis]
-        if len(np.unique(dwells.turn_rate[about])) < 2:
-            continue
-        k, span = AXES.index(axis), slice(min(turns[n].start for n in rows), max(turns[n].stop for n in rows))
-        scale, offset = np.polyfit(dwells.turn_rate[about], dwells.reading[about, k], 1)
-        rate = (np.asarray(record.gyro)[span, k] - offset) / scale
-        for n in rows:
-            azimuths[n][span] = cumulative_trapezoid(rate, record.time[span], initial=0)
-    return azimuths
-
-
-def _ripple(
-    records: Sequence[Record], turns: Sequence[Turn], mounting: IntArray, azimuths: list[FloatArray], settle_s: float
-) -> FloatArray:
-    """Return the covariance of the relative rates if the rate ripples by a cos psi + b sin psi, with a and b of variance 1.
-
-    The ripple averages out over whole turns. Dwells of a mounting in one recording share a and b.
-    """
-    windows = [steady(records[turn.recording], turn, settle_s) for turn in turns]
-    mean = np.array([np.exp(1j * azimuth[w]).mean() for azimuth, w in zip(azimuths, windows, strict=True)])
-    mean = np.where(np.abs(mean) < WHOLE_TURN, 0.0, np.nan_to_num(mean))
-    recording = np.array([turn.recording for turn in turns])
-    shared = (mounting[:, None] == mounting) & (recording[:, None] == recording)
-    return np.asarray(np.where(shared, np.outer(mean, mean.conj()).real, 0.0))
-
-
 def _force_in_dwell(
-    record: Record, turn: Turn, azimuth: FloatArray, accel: TriadModel, level_axes: list[int], settle_s: float
+    record: Record, turn: Turn, accel: TriadModel, level_axes: list[int], settle_s: float
 ) -> FloatArray:
-    """Return block means (B, 4) of cosine and sine of the azimuth and of the force across the axis, without blocks with gaps."""
+    """Return block means (B, 4) of cosine and sine of psi and of the force across the axis, without blocks with gaps."""
     window = steady(record, turn, min(settle_s, FILTER_S))
+    angle = (turn.turn_rate or 0.0) * (record.time[window] - record.time[window.start])
     force = (np.asarray(record.accel)[window] - accel.offset) @ accel.matrix[level_axes].T
-    values = np.column_stack((np.cos(azimuth[window]), np.sin(azimuth[window]), force))
+    values = np.column_stack((np.cos(angle), np.sin(angle), force))
     size = max(block_size(record.sample_rate_hz), len(values) // MOST_BLOCKS)
     means = values[: len(values) // size * size].reshape(-1, size, 4).mean(axis=1)
     return np.asarray(means[~np.isnan(means).any(axis=1)])
 
 
 def _tilt_by_gravity(
-    parts: list[FloatArray], turn_rate: FloatArray, recordings: list[int], table: RateTable, gravity: float
+    parts: list[FloatArray], turn_rate: FloatArray, table: RateTable, gravity: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return d (2,) of a mounting from the blocks of each dwell, and its covariance (2, 2) without the mean of their wobble."""
     from scipy.linalg import block_diag
 
-    levels, designs, axes, plates = sorted(set(recordings)), list[FloatArray](), list[FloatArray](), list[FloatArray]()
-    for part, rate, recording in zip(parts, turn_rate, recordings, strict=True):
-        turned = np.stack((part[:, [0, 1]], part[:, [1, 0]] * [-1.0, 1.0]), axis=1)  # R_k(-psi)
-        ones = np.tile(np.eye(2), (len(part), 1, 1))
-        level = [turned * (recording == other) for other in levels]
-        designs.append(np.concatenate((ones, rate**2 / gravity * ones, *level), axis=2).reshape(2 * len(part), -1))
-        # a wobble tilts the axis in the case, and the plate in the table's frame
-        for shapes, columns in ((axes, ones), (plates, turned)):
-            shapes.append(columns.reshape(-1, 2) @ columns.reshape(-1, 2).T)
+    designs, axes, plates = list[FloatArray](), list[FloatArray](), list[FloatArray]()
+    for part, rate in zip(parts, turn_rate, strict=True):
+        turned = np.stack((part[:, [0, 1]], part[:, [1, 0]] * [-1.0, 1.0]), axis=1).reshape(-1, 2)  # R_k(-psi)
+        ones = np.tile(np.eye(2), (len(part), 1))
+        designs.append(np.hstack((ones, rate**2 / gravity * ones)))
+        axes.append(ones @ ones.T)  # the axis in the case
+        plates.append(turned @ turned.T)  # and the plate in the frame of the table
     force = np.concatenate([part[:, 2:].ravel() for part in parts]) / gravity
-    level_sd = max(table.table_level_deg * RADIAN_PER_DEGREE, MIN_TILT_SD)
-    sizes = np.repeat([TABLE_MOUNTING, TABLE_ARM, level_sd], [2, 2, 2 * len(levels)])
+    wobble, level = table.wobble_deg * RADIAN_PER_DEGREE, table.table_level_deg * RADIAN_PER_DEGREE
     axis, plate = block_diag(*axes), block_diag(*plates)
-    wobble = (table.wobble_deg * RADIAN_PER_DEGREE) ** 2
     fit = solve(
         np.vstack(designs),
         force,
-        {"noise": np.full(len(force), MIN_TILT_SD**2), "axis": wobble * axis, "plate": wobble * plate},
+        {
+            "noise": np.full(len(force), MIN_TILT_SD**2),
+            "axis": wobble**2 * axis,
+            "plate": (wobble**2 + level**2) * plate,
+        },
         excess={"noise": np.ones(len(force)), "plate wobble": axis + plate},
-        prior=Prior(mean=np.zeros(len(sizes)), precision=np.diag(sizes**-2)),
+        prior=Prior(mean=np.zeros(4), precision=np.diag(np.repeat([TABLE_MOUNTING, TABLE_ARM], 2) ** -2)),
     )
     covariance = (fit.covariance - fit.budget["axis"])[:2, :2]
     return fit.theta[:2], covariance + (ACCEL_FLICKER / gravity) ** 2 * np.eye(2)
