@@ -16,7 +16,7 @@ from undrift.drift.fit import (
     table_nodes,
 )
 from undrift.errors import InputError, NotObservable
-from undrift.record import Session
+from undrift.record import Session, TemperatureSensitivity
 from undrift.sim.device.presets import preset
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.bench import BenchSettings
@@ -116,7 +116,7 @@ def test_noisy_log_can_be_corrected_with_its_tables():
     record = session.records[0]
     noisy = with_record(session, temp_c=record.temp_c + np.random.default_rng(1).normal(0.0, 0.4, len(record)))
     for lag_s in (0.0, 20.0):
-        result = fit_drift([noisy], CALIBRATION, settings=DriftSettings(lag_s=lag_s))
+        result = fit_drift([with_lag(noisy, lag_s)], CALIBRATION)
         done = correct_checked(noisy.records[0], result.calibration, policy="raise")
         assert not done.outside.any()
 
@@ -156,15 +156,17 @@ def test_sessions_over_days_state_the_turn_on_scatter():
     assert not any("Turn-on" in item.text for item in six.verdict.findings)
 
 
+def with_lag(session, lag_s):
+    return replace(session, sensitivity=TemperatureSensitivity(thermometer_lag_s=lag_s))
+
+
 def test_stated_lag_comes_with_its_smoothing(session):
-    stated = DriftSettings(lag_s=20.0)
-    column = fit_drift([session], CALIBRATION, settings=stated)
-    points = fit_drift([without_temperature(made(), POINTS_C)], CALIBRATION, settings=stated)
+    column = fit_drift([with_lag(session, 20.0)], CALIBRATION)
+    points = fit_drift([with_lag(without_temperature(made(), POINTS_C), 20.0)], CALIBRATION)
     for fitted in (column, points):
         drift = fitted.calibration.drift
         assert drift.lag_s == 20.0
         assert 0.0 < drift.lag_smooth_s <= 10.0
-        assert fitted.lag is None
 
 
 def test_only_the_tables_that_are_wanted_are_made(session):
@@ -246,7 +248,6 @@ def twice(session):
     [
         (lambda session: [], {}, "no session"),
         (lambda session: [replace(session, serial="other")], {}, "different devices"),
-        (lambda session: [session], {"lag_s": -1.0}, "got -1"),
         (lambda session: [session], {"step_c": 0.0}, "between nodes"),
         (twice, {}, "same data"),
     ],

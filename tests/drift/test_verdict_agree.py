@@ -26,7 +26,7 @@ SETTINGS = ThermalSettings(
     warm_up_c=(18.0, 38.0),
     warm_up_s=1000.0,
 )
-TABLES = DriftSettings(tables="none", lag_s=0.0)
+TABLES = DriftSettings(tables="none")
 
 
 @pytest.fixture(scope="module")

@@ -229,9 +229,7 @@ def table_axes(
         place, root = np.ix_(rows, level_axes), table.mount_tilt_deg * RADIAN_PER_DEGREE * np.eye(2)
         wobble = table.wobble_deg * RADIAN_PER_DEGREE * np.eye(len(rows))
         if accel is not None and abs(gravity) == gravity_m_s2:
-            parts = [
-                _force_in_dwell(records[turns[n].recording], turns[n], accel, level_axes, settle_s) for n in rows
-            ]
+            parts = [_force_in_dwell(records[turns[n].recording], turns[n], accel, level_axes, settle_s) for n in rows]
             if all(len(part) for part in parts):
                 tilt, covariance = _tilt_by_gravity(parts, dwells.turn_rate[rows], table, gravity)
                 readings = [np.asarray(record.accel) for record in records]

@@ -1,6 +1,6 @@
 """Fit tuning tables to thermal sessions and a calibration (Figure 2 of the note).
 
-    temperature     checked and smoothed, without the lag estimated from ramps
+    temperature     checked and smoothed, without the lag that the session states (``thermometer_lag_s``)
     static drift    absolute offset(T) from rests, raw unit                        blocks 2 to 5
     matrix          M(T) from rate steps at two soaks or more
     dynamic drift   e(w, T) that remains, from rate steps at three soaks or more   blocks 6 to 9
@@ -26,11 +26,9 @@ from undrift.drift.accel import AccelDriftFit, fit_accel_drift
 from undrift.drift.observe import RateSteps, RestBlocks, not_observable
 from undrift.drift.offset import StaticFit, StaticSettings, felt_by_gyro, fit_static
 from undrift.drift.rates import DynamicFit, ScaleFit, fit_dynamic, fit_scale, prepared
-from undrift.drift.temperature import LagFit
 from undrift.errors import InputError, NotObservable, check_choices
 from undrift.findings import Finding
 from undrift.fit.gls import determined
-from undrift.fit.priors import THERMOMETER_LAG
 from undrift.model import (
     BEYOND_SEEN_C,
     Calibration,
@@ -50,7 +48,6 @@ if TYPE_CHECKING:
 
 RANGE_C = (18.0, 75.0)  # the note's
 STEP_C = 0.5
-SURE_LAG = 3.0  # standard uncertainties: a smaller lag is not subtracted
 OUTLYING = 5.0 * 1.4826  # median absolute deviations of single readings that a table reaches beyond their smooth course
 INPUTS_BEFORE = "drift_inputs_before"  # setting: number of inputs of the calibration before a thermal fit
 
@@ -66,8 +63,6 @@ class DriftSettings:
     ----------
     step_c : float
         Distance between nodes, K. They span the data, and reach 18 and 75 degC if an end is within 3 degC of these.
-    lag_s : float, optional
-        Lag of the thermometer, s. None estimates it from ramps, 0 does not subtract any lag.
     tables : str
         Tables in addition to the offsets: "none", "scale", "dynamic" or "scale + dynamic".
     static : StaticSettings
@@ -75,7 +70,6 @@ class DriftSettings:
     """
 
     step_c: float = STEP_C
-    lag_s: float | None = None
     tables: Tables = "scale + dynamic"
     static: StaticSettings = field(default_factory=StaticSettings)
 
@@ -99,8 +93,6 @@ class DriftFit(Shown):
         Dynamic drift, or None if it is not wanted or not observable.
     accel : AccelDriftFit or None
         Accelerometers from poses, or None without poses at two temperatures.
-    lag : LagFit or None
-        Lag of the thermometer, or None if it was given.
     rests : RestBlocks
         Data of the static tables.
     steps : RateSteps
@@ -114,7 +106,6 @@ class DriftFit(Shown):
     scale: ScaleFit | None
     dynamic: DynamicFit | None
     accel: AccelDriftFit | None
-    lag: LagFit | None
     rests: RestBlocks
     steps: RateSteps
     verdict: Verdict
@@ -179,16 +170,9 @@ def fit_drift(
         raise InputError(
             f"drift: expected a list of sessions or a data frame of means, got {kind}. Read each session with read_session."
         )
-    sessions = _check_sessions(sessions, calibration, settings)
+    sessions = _check_sessions(sessions, calibration)
     device = observe.nominal_models(sessions) if calibration is None else judge.without_tables(calibration)
     sessions = [observe.in_units_of(session, device) for session in sessions]
-
-    def observed(course: observe.Temperatures) -> tuple[RestBlocks, RateSteps]:
-        if rate_b is not None:
-            return observe.observe_means(sessions[0].records[0], rate_b, course[0][0])
-        return observe.observe_rests(sessions, temperatures=course), observe.observe_steps(
-            sessions, temperatures=course
-        )
 
     report("smoothing the temperature", 0.0)
     means = rate_b is not None
@@ -196,20 +180,18 @@ def fit_drift(
     temperatures = [temperature for session_temperatures in trusted for temperature in session_temperatures]
     thermometer.check_span(temperatures)
     report("gathering rests and turns", 0.15)
-    rests, steps = observed(
-        [[temperature.temp_c for temperature in session_temperatures] for session_temperatures in trusted]
-    )
-    lag, lag_s, smooth_s = None, settings.lag_s or 0.0, 0.0
-    if settings.lag_s is None and any(temperature.source == "column" for temperature in temperatures):
-        lag = thermometer.estimate_lag(rests)
-        lag_s = lag.lag_s if lag.lag_s > SURE_LAG * lag.uncertainty_s else 0.0
+    lag_s, smooth_s = max(session.sensitivity.thermometer_lag_s for session in sessions), 0.0
     if lag_s > 0.0:
         smooth_s = max(thermometer.default_smooth_s(lag_s, temperature) for temperature in temperatures)
-        course = [
-            [thermometer.without_lag_smooth(temperature, lag_s=lag_s) for temperature in session_temperatures]
-            for session_temperatures in trusted
-        ]
-        rests, steps = observed(course)
+    course = [
+        [thermometer.without_lag_smooth(temperature, lag_s=lag_s) for temperature in session_temperatures]
+        for session_temperatures in trusted
+    ]
+    if rate_b is not None:
+        rests, steps = observe.observe_means(sessions[0].records[0], rate_b, course[0][0])
+    else:
+        rests = observe.observe_rests(sessions, temperatures=course)
+        steps = observe.observe_steps(sessions, temperatures=course)
     verdict = judge.rests_verdict(sessions, rests, steps)
     report("fitting offsets over temperature", 0.4)
     # single readings, which ``correct`` looks up, reach beyond the smooth course
@@ -218,7 +200,8 @@ def fit_drift(
     seen_c = np.concatenate((rests.temp_c, steps.temp_c))
     nodes = table_nodes(np.array([seen_c.min() - margin_c, seen_c.max() + margin_c]), settings.step_c)
     accel, accel_verdict = _accelerometers(rests, device, nodes)
-    static_settings = replace(settings.static, accel=accel is None, lag_uncertainty_s=_lag_uncertainty(lag, lag_s))
+    lag_uncertainty_s = 0.0 if lag_s > 0.0 else settings.static.lag_uncertainty_s
+    static_settings = replace(settings.static, accel=accel is None, lag_uncertainty_s=lag_uncertainty_s)
     static = fit_static(rests, nodes=nodes, calibration=device, settings=static_settings)
     judge.check_sessions(static, device)
     verdict = verdict.also(judge.offsets_verdict(static, device, felt_by_gyro(rests, device).mean(axis=0)))
@@ -227,8 +210,6 @@ def fit_drift(
     scale, dynamic, rates_verdict = _fit_rates(steps, device, static, settings.tables)
     verdict = verdict.also(judge.turns_verdict(scale, device)).also(rates_verdict)
     verdict = verdict.also(accel_verdict).also(judge.static_verdict(static, device, temperatures))
-    if lag is not None:
-        verdict = verdict.also(judge.lag_verdict(lag))
     scale_table = scale.drift if scale is not None and "scale" in settings.tables else None
     tables = replace(
         _tables(static.table, scale_table, None if dynamic is None else dynamic.drift, accel),
@@ -241,16 +222,13 @@ def fit_drift(
         scale=scale,
         dynamic=dynamic,
         accel=accel,
-        lag=lag,
         rests=rests,
         steps=steps,
         verdict=verdict if calibration is not None else device.verdict.also(verdict),
     )
 
 
-def _check_sessions(
-    sessions: Sequence[Session], calibration: Calibration | None, settings: DriftSettings
-) -> list[Session]:
+def _check_sessions(sessions: Sequence[Session], calibration: Calibration | None) -> list[Session]:
     """Return the sessions. Raise if they belong to different devices."""
     if not sessions:
         raise InputError("drift: no session was given. Name its folder.")
@@ -261,20 +239,8 @@ def _check_sessions(
             f"drift: sessions and calibration are of different devices: {', '.join(sorted(names))}. "
             "Give the sessions of one device."
         )
-    if settings.lag_s is not None and not 0.0 <= settings.lag_s < np.inf:
-        raise InputError(
-            f"drift: the lag must be 0 s or more, got {settings.lag_s:g}. Give the lag of the thermometer."
-        )
     observe.check_once(sessions)
     return list(sessions)
-
-
-def _lag_uncertainty(lag: LagFit | None, subtracted_s: float) -> float:
-    """Return the standard uncertainty of the remaining lag, s, or 0 if a lag was given."""
-    if lag is None and subtracted_s > 0.0:
-        return 0.0
-    left_s = np.inf if lag is None else np.hypot(lag.uncertainty_s, lag.lag_s - subtracted_s)
-    return float(min(left_s, THERMOMETER_LAG))
 
 
 def table_nodes(seen_c: FloatArray, step_c: float) -> FloatArray:
