@@ -34,7 +34,7 @@ import numpy as np
 from undrift.arrays import FloatArray, IntArray
 from undrift.errors import NotObservable
 
-MAX_ITERATIONS, MOST_HALVINGS = 100, 30
+MAX_ITERATIONS, MOST_HALVINGS = 100, 12
 FIRST_STEPS = 5  # for a single excess variance, enough to compare likelihoods
 TOLERANCE = 1e-4  # step of the excess variances, in their standard errors, at which the iteration ends
 ROUNDS, CONVERGED = 8, 0.01  # fit of the inverse model: rounds, and final change in standard deviations of a row
@@ -105,7 +105,7 @@ def solve(
     length = np.linalg.norm(design, axis=0)
     length[length == 0.0] = 1.0
     parts = {name: _matrix(share) for name, share in sources.items()}
-    shapes = {kind: _Shape.of(shape) for kind, shape in (excess or {}).items()}
+    shapes = dict(excess or {})
     rows = _GlsRows(
         design=design / length,
         value=value,
@@ -115,11 +115,11 @@ def solve(
         shapes=tuple(shapes.values()),
     )
     variances, state = _excess_variances(rows, None if start is None else np.array([start[kind] for kind in shapes]))
-    freedom = [_degrees(shape.after(state.projector)[shape.rows]) for shape in rows.shapes]
+    freedom = [_degrees(_times(state.projector, shape)) for shape in rows.shapes]
     gains = state.gains / length[:, None]
     for (kind, shape), variance, nu in zip(shapes.items(), variances, freedom, strict=True):
         source = kind.partition(" ")[0]
-        parts[source] = shape.added(parts.get(source, np.zeros_like(rows.stated)), variance * student_factor(nu))
+        parts[source] = parts.get(source, 0.0) + variance * student_factor(nu) * _matrix(shape)
     budget = {name: carried(gains, share) for name, share in parts.items()}
     if prior is not None:
         covariance = state.covariance / np.outer(length, length)
@@ -210,40 +210,9 @@ def carried(gains: FloatArray, covariance: FloatArray) -> FloatArray:
 # ---- solution for one covariance
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Shape:
-    """A shape E_j, zero outside its own rows."""
-
-    rows: IntArray | slice  # (R,), or all
-    block: FloatArray  # (R, R), or its diagonal (R,)
-
-    @classmethod
-    def of(cls, shape: FloatArray) -> "_Shape":
-        used = shape if shape.ndim == 1 else shape.any(axis=1)
-        rows = np.flatnonzero(used)
-        if len(rows) == len(shape):
-            return cls(rows=slice(None), block=shape)
-        return cls(rows=rows, block=shape[rows] if shape.ndim == 1 else shape[np.ix_(rows, rows)])
-
-    def after(self, matrix: FloatArray) -> FloatArray:
-        """Return the product of a matrix (., E) and the shape, without the columns of zeros: (., R)."""
-        columns = matrix[:, self.rows]
-        return np.asarray(columns * self.block if self.block.ndim == 1 else columns @ self.block)
-
-    def trace(self, matrix: FloatArray) -> float:
-        """Return the trace of the product of a matrix (E, E) and the shape."""
-        square = matrix[self.rows][:, self.rows]
-        return float(np.diag(square) @ self.block if self.block.ndim == 1 else (square * self.block).sum())
-
-    def added(self, covariance: FloatArray, variance: float) -> FloatArray:
-        """Return a covariance (E, E) plus a variance times the shape."""
-        rows = np.arange(len(covariance))[self.rows]
-        total = covariance.copy()
-        if self.block.ndim == 1:
-            total[rows, rows] += variance * self.block
-        else:
-            total[np.ix_(rows, rows)] += variance * self.block
-        return total
+def _times(matrix: FloatArray, shape: FloatArray) -> FloatArray:
+    """Return the product of a matrix (., E) and a shape (E, E), or the diagonal (E,) of a shape."""
+    return np.asarray(matrix * shape if shape.ndim == 1 else matrix @ shape)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -251,52 +220,36 @@ class _State:
     theta: FloatArray  # (P,), of the scaled columns
     residuals: FloatArray  # (E,)
     deviance: float  # -2 log of the restricted likelihood, up to a constant
-    factor: FloatArray  # (E, E), L
+    root: FloatArray  # (E, E), L^-1
     orthonormal: FloatArray  # (E, P), Q without the rows of the prior
     inverse_triangle: FloatArray  # (P, P), T^-1
     white_residuals: FloatArray  # (E,), L^-1 r
 
-    @cached_property
+    @property
     def covariance(self) -> FloatArray:
         """C, (P, P)."""
         return np.asarray(self.inverse_triangle @ self.inverse_triangle.T)
 
-    @cached_property
+    @property
     def gains(self) -> FloatArray:
         """C X' V^-1, (P, E)."""
-        return np.asarray(self.inverse_triangle @ self._weighted_design.T)
+        return np.asarray(self.inverse_triangle @ self.orthonormal.T @ self.root)
 
     @cached_property
     def weighted(self) -> FloatArray:
         """V^-1 r, (E,)."""
-        return _solve_triangular(self.factor, self.white_residuals, transposed=True)
+        return np.asarray(self.white_residuals @ self.root)
 
     @cached_property
     def inverse(self) -> FloatArray:
         """V^-1, (E, E)."""
-        from scipy.linalg.lapack import dpotri
-
-        upper, _ = dpotri(self.factor.T, lower=0)  # with zeros below its diagonal
-        inverse = np.asarray(upper + upper.T)
-        inverse[np.diag_indices_from(inverse)] *= 0.5
-        return inverse
+        return np.asarray(self.root.T @ self.root)
 
     @cached_property
     def projector(self) -> FloatArray:
-        """P = V^-1 - B B', (E, E)."""
-        return np.asarray(self.inverse - self._weighted_design @ self._weighted_design.T)
-
-    @cached_property
-    def _weighted_design(self) -> FloatArray:
-        """B = L'^-1 Q, (E, P)."""
-        return _solve_triangular(self.factor, self.orthonormal, transposed=True)
-
-
-def _solve_triangular(factor: FloatArray, value: FloatArray, *, transposed: bool = False) -> FloatArray:
-    """Return L^-1 y, or L'^-1 y, for a lower triangle L (E, E)."""
-    from scipy.linalg.lapack import dtrtrs
-
-    return np.asarray(dtrtrs(factor.T, value, lower=0, trans=not transposed)[0])
+        """P, (E, E)."""
+        weighted_design = self.root.T @ self.orthonormal
+        return np.asarray(self.inverse - weighted_design @ weighted_design.T)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -306,34 +259,35 @@ class _GlsRows:
     prior: FloatArray  # (., P), R with R' R = K
     mean: FloatArray  # (P,), m
     stated: FloatArray  # (E, E), sum of S_i
-    shapes: tuple[_Shape, ...]  # E_j
+    shapes: tuple[FloatArray, ...]  # E_j, (E, E) or its diagonal (E,)
 
     def solve(self, variances: FloatArray) -> _State:
         """Return the solution for excess variances (J,), from V = L L' and the factorisation L^-1 X (with the prior) = Q T.
 
         Then C = T^-1 T'^-1, and P = V^-1 - B B' with B = L'^-1 Q. The condition of X is not squared.
         """
-        covariance = self.stated
-        for shape, variance in zip(self.shapes, variances, strict=True):
-            covariance = shape.added(covariance, variance) if variance else covariance
+        from scipy.linalg.lapack import dtrtri
+
+        excess = [variance * _matrix(shape) for variance, shape in zip(variances, self.shapes, strict=True) if variance]
+        covariance = self.stated + sum(excess, np.zeros_like(self.stated))
         # noise may be smaller than the rounding of a common source, so that the sum is singular
         factor = np.linalg.cholesky(covariance + np.diag(ROUNDING * np.diag(covariance)))
-        white = _solve_triangular(factor, np.column_stack((self.design, self.value)))
-        orthonormal, triangle = np.linalg.qr(np.vstack((white[:, :-1], self.prior)))
+        root = np.asarray(dtrtri(factor, lower=1)[0])
+        orthonormal, triangle = np.linalg.qr(np.vstack((root @ self.design, self.prior)))
         pivots = np.abs(np.diag(triangle))
         if not pivots.min() > RANK_OF_ROWS * pivots.max():
             raise np.linalg.LinAlgError("rows and prior do not determine all parameters")
-        observations = np.concatenate((white[:, -1], self.prior @ self.mean))
+        observations = np.concatenate((root @ self.value, self.prior @ self.mean))
         inverse_triangle, projection = np.linalg.inv(triangle), orthonormal.T @ observations
         theta, remainder = inverse_triangle @ projection, observations - orthonormal @ projection
         return _State(
             theta=theta,
             residuals=self.value - self.design @ theta,
             deviance=2.0 * float(np.log(np.diag(factor)).sum() + np.log(pivots).sum()) + float(remainder @ remainder),
-            factor=factor,
-            orthonormal=orthonormal[: len(white)],
+            root=root,
+            orthonormal=orthonormal[: len(root)],
             inverse_triangle=inverse_triangle,
-            white_residuals=remainder[: len(white)],
+            white_residuals=remainder[: len(root)],
         )
 
 
@@ -352,8 +306,10 @@ def _excess_variances(rows: _GlsRows, first: FloatArray | None) -> tuple[FloatAr
     zero: FloatArray = np.zeros(len(rows.shapes))
     start = zero, rows.solve(zero)
     # a shape that the parameters absorb does not appear in the residuals, and its variance stays zero
-    shares = [(shape.trace(start[1].projector), SHOWN * shape.trace(start[1].inverse)) for shape in rows.shapes]
-    observable = np.array([k for k, (residual, least) in enumerate(shares) if residual > least], int)
+    shares = [
+        [np.trace(_times(matrix, shape)) for matrix in (start[1].projector, start[1].inverse)] for shape in rows.shapes
+    ]
+    observable = np.array([k for k, (residual, total) in enumerate(shares) if residual > SHOWN * total], int)
     if first is not None:
         start = first, rows.solve(first)
     elif len(observable) > 1:
@@ -366,12 +322,11 @@ def _climb(
     rows: _GlsRows, variances: FloatArray, state: _State, free: IntArray, steps: int
 ) -> tuple[FloatArray, _State]:
     """Improve the variances of the free shapes with at most ``steps`` steps of Fisher scoring. Return them and their solution."""
-    shapes = [rows.shapes[k] for k in free]
-    for _ in range(steps if shapes else 0):
-        products = [(shape.rows, shape.after(state.projector)) for shape in shapes]
-        square = [shape.after(state.weighted[None])[0] @ state.weighted[shape.rows] for shape in shapes]
-        score = np.array(square) - [np.trace(product[place]) for place, product in products]
-        information = np.array([[(a[q] * b[p].T).sum() for q, b in products] for p, a in products])
+    for _ in range(steps if len(free) else 0):
+        products = [_times(state.projector, rows.shapes[k]) for k in free]
+        square = [_times(state.weighted, rows.shapes[k]) @ state.weighted for k in free]
+        score = np.array(square) - [np.trace(product) for product in products]
+        information = np.array([[(first * second.T).sum() for second in products] for first in products])
         step = np.zeros(len(variances))
         step[free] = _bounded_step(variances[free], score, information)
         if score @ step[free] <= 2.0 * TOLERANCE**2:
