@@ -3,7 +3,7 @@ accelerometers.
 
 Every row except the ideal row draws the default errors of a fit: 0.1 deg of mounting about each axis, 0.1 deg of level,
 0.01 deg of wobble, rates wrong by 1e-4 in common. Ripple, settling, codes, flicker and a larger wobble are not
-specified in the fit. A consumer gyroscope's offset walks in every row. Every device is calibrated twice: with its
+specified in the fit. Dwells last 3 s, or a whole turn and 2 s more if the rate ripples. A consumer gyroscope's offset walks in every row. Every device is calibrated twice: with its
 accelerometers, from six faces on a level plate, and without. The true offset is the mean over the session, from the
 first to the last of turns and rests.
 """
@@ -26,6 +26,7 @@ from undrift.sim.motion.bench import BenchErrors, BenchSettings, bench_motion
 from undrift.units import RADIAN_PER_DEGREE as DEG
 from undrift.units import STANDARD_GRAVITY as G
 
+WHOLE_S = 20.0  # a whole turn at the lowest rate, after the settling
 RATES = tuple(rate * DEG for rate in (20.0, 45.0, 70.0, 90.0))
 ARM = LeverArm(arms=np.tile((0.02, 0.01, -0.015), (3, 1)))
 USUAL = BenchErrors(mount_tilt=0.1 * DEG, level=0.1 * DEG, table_rate=1e-4, wobble=0.01 * DEG)
@@ -45,6 +46,7 @@ class Case:
     walk_dps: float | None = None  # deg/s/sqrt(s), or None for a consumer device
     alone_deg: float | None = None  # mounting uncertainty without accelerometers, deg, or None for the default
     stated: RateTable = field(default_factory=RateTable)
+    dwell_s: float = 3.0  # steady part of each rate, s
     tripled: str = ""  # Source at three times its size: a field of BenchErrors, codes, flicker or g-sensitivity
 
 
@@ -57,7 +59,7 @@ CASES = {
     "mounted 0.1 deg off per axis": Case(USUAL),
     "the same, faces off level by 0.05 deg": Case(replace(USUAL, face_tilt=0.05 * DEG)),
     "wobble 0.1 deg": Case(replace(USUAL, wobble=0.1 * DEG)),
-    "rate ripples and settles late, 0.3 %": Case(replace(USUAL, ripple=3e-3, excess=3e-3)),
+    "rate ripples and settles late, 0.3 %": Case(replace(USUAL, ripple=3e-3, excess=3e-3), dwell_s=WHOLE_S),
     "10 bit": Case(USUAL, bits=10),
     "flicker 8 deg/h": Case(USUAL, flicker=True),
     "mounted 0.1 deg off, faces by 0.2 deg": Case(replace(USUAL, face_tilt=0.2 * DEG)),
@@ -69,7 +71,7 @@ CASES = {
     ),
     "walk of 5e-4 deg/s/sqrt(s)": Case(USUAL, walk_dps=5e-4),
     "warm-up of 0.1 deg/s, 60 s": Case(USUAL, warm_up_dps=0.1),
-    "all together, 12 bit, g-sensitivity": Case(WORST, bits=12, flicker=True, g_sensitivity=True),
+    "all together, 12 bit, g-sensitivity": Case(WORST, bits=12, flicker=True, g_sensitivity=True, dwell_s=WHOLE_S),
     "all sources at their stated sizes": STATED,
     **tripled(STATED, ("mount_tilt", "level", "table_rate", "wobble", "codes", "flicker", "g-sensitivity")),
 }
@@ -119,7 +121,7 @@ def drawn(case: Case, rng: np.random.Generator) -> tuple[DeviceModel, Session, F
         amplitude = case.warm_up_dps * DEG * rng.choice((-1.0, 1.0), 3)
         gyro = replace(gyro, warm_up=PowerOnTransient(amplitude=amplitude, time_constant_s=60.0))
     device = replace(device, gyro=gyro, accel=replace(accel, lever_arm=ARM))
-    bench = BenchSettings(sample_rate_hz=50.0, turn_rates=RATES, errors=table)
+    bench = BenchSettings(sample_rate_hz=50.0, turn_rates=RATES, dwell_s=case.dwell_s, errors=table)
     motion = bench_motion("bench", rng=rng, settings=bench)
     simulated = simulate_device(device, motion, rng=rng)
     session = Session(

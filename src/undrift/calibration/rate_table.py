@@ -30,6 +30,7 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.calibration.codes import limited_by_codes, rounding_correlation
 from undrift.calibration.plausibility import check_axis_order, check_own_scale, face_vectors
+from undrift.calibration.quality import steady
 from undrift.calibration.session import Observed, spans_of, with_offset
 from undrift.calibration.settings import Mode
 from undrift.calibration.sources import Creep, creep_of, gyro_drift, noise_and_codes, offset_drift, uncertain, walks_of
@@ -40,10 +41,11 @@ from undrift.fit.gls import GlsFit, Prior, block_size, fit_huber, noise_of_means
 from undrift.fit.priors import G_SENSITIVITY, SCALE_FACTOR, SCALE_FACTOR_IN_COUNTS, UNCERTAIN_PERCENT
 from undrift.fit.triad import TriadFit, fit_of, fit_paper, parameters_of
 from undrift.model import AXES, TriadModel, Verdict
-from undrift.record import Still, Turn
+from undrift.record import Record, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
 MIN_NOISE = 1e-9  # relative to the largest reading, the arithmetic error of the filter
+WHOLE_TURN = 0.9 * 2.0 * np.pi  # rad, minus the last sample
 SPREAD = 3.0  # of the distance of two inputs by rounding in the matrix, relative to that of independent rounding errors
 
 # ---- fit of dwells and rests
@@ -207,6 +209,18 @@ def _findings(model: TriadModel, fit: GlsFit, dwells: DwellMeans) -> Iterator[Fi
     yield from uncertain("The gyroscope matrix", percent, UNCERTAIN_PERCENT, "%", action)
 
 
+def _partial_turns(records: Sequence[Record], turns: Sequence[Turn], settle_s: float) -> Iterator[Finding]:
+    """Yield a finding if a ripple of the rate does not average out, because dwells are shorter than a turn."""
+    angles = list[float]()
+    for turn in turns:
+        time = records[turn.recording].time[steady(records[turn.recording], turn, settle_s)]
+        angles.append(abs(turn.turn_rate or 0.0) * float(time[-1] - time[0]))
+    partial = sum(angle < WHOLE_TURN for angle in angles)
+    if partial:
+        sentence = f"{partial} of {len(turns)} dwells are shorter than a turn, so a ripple of the table's rate changes the scale."
+        yield finding("rate_table.partial_turns", "info", sentence, "Dwell for a whole turn at each rate.")
+
+
 def axes_missing(turn_axes: Sequence[str], unit: str, cross_axis_prior: float) -> Finding:
     """Return a finding about turns about one or two axes: elements that keep their prior, and its size."""
     missing = tuple(axis for axis in AXES if axis not in turn_axes)
@@ -295,7 +309,7 @@ def calibrate_rates(observed: Observed, mode: Mode, accel: TriadFit | None) -> T
             variance = np.full(3, np.nan) if dwells.noise is None else (dwells.noise**2).mean(axis=0) / len(dwells.axis)
     pieces: list[Still | Turn] = [*turns, *(() if mode == "paper" else rests)]
     creep = creep_of(observed, pieces, "gyro")
-    findings = creep.findings()
+    findings = (*creep.findings(), *_partial_turns(session.records, turns, settings.settle_s))
     if len(turn_axes) < 3:
         findings = (*findings, axes_missing(turn_axes, dwells.unit, settings.cross_axis_prior))
     fit = fit_rate_table(
