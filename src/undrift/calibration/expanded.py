@@ -1,8 +1,7 @@
 """Expanded uncertainty of the parameters of a calibration, combined from the shares of its budget (JCGM 100).
 
     u^2 = sum_i u_i^2        shares u_i of the fit, which sum to the variance in the calibration's covariance
-    nu  = n (u / u_r)^4      Welch-Satterthwaite, with repeatability u_r from the residuals of n spare equations
-    U   = k u                k = 2, or Student's t for 95.45 % below 50 degrees of freedom
+    U   = 2 u                about 95 %: Student's factor of an excess variance is in its share already (fit/gls.py)
 
 Values are in units of the triad.
 """
@@ -18,8 +17,7 @@ from undrift.calibration.norm import QUADRATIC_SD
 from undrift.model import Calibration, TriadModel
 from undrift.units import INHABITED_GRAVITY, STANDARD_GRAVITY
 
-# k, the degrees of freedom from which it applies, and the quantile for 95.45 %
-COVERAGE, ENOUGH, STUDENT_TAIL = 2.0, 50.0, 0.97725
+COVERAGE = 2.0  # U / u
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -30,8 +28,6 @@ class ParameterTable:
     value: FloatArray
     shares: Mapping[str, FloatArray]  # (P,) of each source
     standard: FloatArray  # combined standard uncertainty
-    freedom: FloatArray  # effective degrees of freedom
-    coverage: FloatArray  # k
     expanded: FloatArray  # U
 
     def of_block(self, block: str) -> list[int]:
@@ -63,19 +59,6 @@ def expand(triad: TriadModel, gravity: float = 0.0) -> ParameterTable:
         offset_terms = np.where([block_of(name) == "offset" for name in triad.parameters], STANDARD_GRAVITY**2, 0.0)
         shares["nonlinearity"] = QUADRATIC_SD * offset_terms * np.resize(triad.scale_factor, len(sigma))
     combined = np.sqrt(np.sum([share**2 for share in shares.values()], axis=0))
-    freedom = np.full(len(sigma), np.inf)
-    if "repeatability" in shares:
-        spare, repeated = max(1, triad.count - len(sigma)), shares["repeatability"] > 0.0
-        freedom[repeated] = spare * (combined[repeated] / shares["repeatability"][repeated]) ** 4
-    coverage = coverage_factors(freedom)
     return ParameterTable(
-        names=triad.parameters, value=triad.values, shares=shares, standard=combined, freedom=freedom, coverage=coverage,
-        expanded=coverage * combined,
-    )  # fmt: skip
-
-
-def coverage_factors(freedom: FloatArray) -> FloatArray:
-    """Return k for degrees of freedom (P,)."""
-    from scipy.special import stdtrit
-
-    return np.where(freedom >= ENOUGH, COVERAGE, stdtrit(np.minimum(freedom, 1e6), STUDENT_TAIL))
+        names=triad.parameters, value=triad.values, shares=shares, standard=combined, expanded=COVERAGE * combined
+    )

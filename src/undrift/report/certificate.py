@@ -121,20 +121,19 @@ def _results(name: str, model: TriadModel, table: ParameterTable) -> Table:
         (factor, unit), fixed = units[block_of(parameter)], not expanded > 0.0
         cell: Cell = value if fixed else Estimate(value, expanded)
         size = None if fixed else abs(factor) * expanded
-        coverage = None if fixed else float(table.coverage[n])
-        rows.append((parameter, cell, parameter_unit(parameter, model), size, unit, coverage))
+        rows.append((parameter, cell, parameter_unit(parameter, model), size, unit))
     equation = "corrected = M (raw - o)" + (" - G a" if model.g_sensitivity is not None else "")
     equation += " - d in motion" if model.moving_offset is not None else ""
     note = (
-        f"{equation}. Expanded uncertainty U = k u at a coverage probability of about 95 %: k = 2, or Student's factor if the "
-        "effective degrees of freedom are below 50. A parameter without U is fixed."
+        f"{equation}. Expanded uncertainty U = k u with k = 2, at a coverage probability of about 95 %. A parameter without U is "
+        "fixed."
     )
-    columns = ("parameter", "value ± U", "unit", "U", "unit of U", "k")
+    columns = ("parameter", "value ± U", "unit", "U", "unit of U")
     return Table(
         title=f"{NAMES[name].capitalize()}: results",
         columns=columns,
         rows=rows,
-        form={"value ± U": ".6g", "U": ".2g", "k": ".2f"},
+        form={"value ± U": ".6g", "U": ".2g"},
         note=note,
     )
 
