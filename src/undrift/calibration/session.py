@@ -275,7 +275,7 @@ def look(session: Session, settings: CalibrateSettings) -> Observed:
 def observe(session: Session, settings: CalibrateSettings) -> Observed:
     """Return a session without truncation, with its stills and turns, as given or detected. Raise if they fail the checks."""
     check_alike(session)
-    check_counted_once(session)
+    check_counted_once(session.records)
     for record in session.records:
         check_force(record)
     adc = device_adc(session.records) if settings.identify_adc else None

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from undrift.arrays import FloatArray
+from undrift.calibration.quality import check_counted_once
 from undrift.calibration.session import ROOM_C
 from undrift.drift import observe
 from undrift.drift import temperature as thermometer
@@ -239,7 +240,7 @@ def _check_sessions(sessions: Sequence[Session], calibration: Calibration | None
             f"drift: sessions and calibration are of different devices: {', '.join(sorted(names))}. "
             "Give the sessions of one device."
         )
-    observe.check_once(sessions)
+    check_counted_once([record for session in sessions for record in session.records])
     return list(sessions)
 
 

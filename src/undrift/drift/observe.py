@@ -8,10 +8,9 @@ six robust standard deviations. Its variance comes from the differences of neigh
 so that a ramp does not count as noise. The fit accounts for bias instability from block to block.
 
 Sessions are prepared first, in the calibration's units and with restored codes. If the clock of a session with several recordings
-starts again, the device was switched on again. A copy of a session would halve the variance and add a switch-on: it is refused.
+starts again, the device was switched on again.
 """
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -423,23 +422,6 @@ def nominal_triad(unit: str, quantity: Quantity) -> TriadModel:
         condition=1.0,
         valid_range=(-np.inf, np.inf),
     )
-
-
-def check_once(sessions: Sequence[Session]) -> None:
-    """Refuse repeated readings, which would make the uncertainty too small."""
-    first = dict[str, int]()
-    for number, session in enumerate(sessions, start=1):
-        for record in session.records:
-            readings = np.column_stack([values for values in (record.gyro, record.accel) if values is not None])
-            if not (np.nanmin(readings, axis=0) < np.nanmax(readings, axis=0)).any():
-                continue  # sensors that repeat one value
-            digest = hashlib.sha256(np.ascontiguousarray(readings).tobytes()).hexdigest()
-            if digest in first:
-                raise InputError(
-                    f"drift: sessions {first[digest]} and {number} contain the same data. Omit one of them, because repeated data "
-                    "would make the uncertainty too small."
-                )
-            first[digest] = number
 
 
 def not_observable(level: Level, what: str, problem: str, action: str = "") -> Finding:
