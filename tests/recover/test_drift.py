@@ -220,7 +220,7 @@ def test_intervals_of_matrix_and_dynamic_drift_hold_the_truth(devices: int) -> N
         seen = ~dynamic.drift.extrapolated & (dynamic.drift.turn_rate != 0.0)
         for axis in range(3):
             off = dynamic.drift.error[..., axis] - _truth_of_e(device, dynamic, axis)
-            z_dynamic.append((off / dynamic.drift.uncertainty[..., axis])[seen])
+            z_dynamic.append(off[seen] / dynamic.drift.uncertainty[..., axis][seen])
     scale = float(np.mean(np.abs(z_scale) < 1.96))
     dynamic_share = float(np.mean(np.abs(np.concatenate(z_dynamic)) < 1.96))
     show("95 % intervals of M(T) nodes hold the truth", f"{scale:.3f}", (0.93, 1.0))

@@ -29,7 +29,7 @@ from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.drift.observe import RestBlocks, not_observable
 from undrift.errors import NotObservable
 from undrift.findings import Finding, finding
-from undrift.fit.curve import Cubics, Curve, NodeValues, fit_curve, not_a_knot
+from undrift.fit.curve import Curve, NodeValues, fit_curve, not_a_knot
 from undrift.fit.gls import determined, excess_variance, student_factor
 from undrift.fit.priors import ACCEL_FLICKER, GYRO_FLICKER, THERMOMETER_LAG
 from undrift.model import G_NAMES, Calibration, StaticDrift, TriadModel, Verdict, WarmUp
@@ -54,7 +54,7 @@ OVERLAP_C = 3.0  # common range of both directions
 # ---- warm-up
 CHUNK_S = 120.0  # cells are cut there and at its doubles
 LEAST_OWN = 0.05  # share of the variance of exp(-t / tau) that temperature must leave unexplained
-CURVE_INTERVALS = 5  # intervals of the curve over temperature that a warm-up must differ from
+CURVE_POWER = 7  # of the polynomial over temperature that a warm-up must differ from
 WARM_UP_NODES, WARM_UP_SPAN = 13, 5.0  # nodes of its table, and its length in time constants
 
 
@@ -553,9 +553,8 @@ def both_ways(blocks: RestBlocks, state: FloatArray) -> bool:
 
 def warm_up_time(blocks: RestBlocks, value: FloatArray) -> float:
     """Return the time constant of the warm-up of values (n, 3), s: least squares on a grid."""
-    low = float(blocks.temp_c.min())
-    high = low + max(float(np.ptp(blocks.temp_c)), 1e-9)
-    basis = Cubics(low=low, high=high, intervals=CURVE_INTERVALS).at(blocks.temp_c)
+    low, span = float(blocks.temp_c.min()), max(float(np.ptp(blocks.temp_c)), 1e-9)
+    basis = np.polynomial.chebyshev.chebvander(2.0 * (blocks.temp_c - low) / span - 1.0, CURVE_POWER)
 
     def unexplained(values: FloatArray) -> FloatArray:
         return np.asarray(values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0])

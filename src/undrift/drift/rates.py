@@ -12,18 +12,12 @@ axis that no soak turned keeps its column of K from the calibration, without an 
 contains the curvature.
 
 Dynamic drift is the rate error that remains, per axis, as a table over measured rate and temperature: ``e(w, T) = w - true rate``
-with the measured rate w about the axis itself, so that the lookup needs no inversion. A smooth surface with e(0, T) = 0, a tensor
-product of cubic splines, is fitted to the steps of all soaks::
+with the measured rate w about the axis itself, so that the lookup needs no inversion. At each soak it is a polynomial without a
+constant, because d has that part::
 
-    r_k = e(w_k, T_k) + d_m(k) + noise          e(w, T) = sum_ij c_ij B_i(w) B_j(T)
-    minimise  sum (r_k - e_k - d_m)^2 / v_k + integral (d2e/dw2)^2 / s_w^2 + integral (d2e/dT2)^2 / s_T^2
+    w_k - true rate_k = d + sum_n c_n w_k^n + noise        n = 1 .. 5, at most half the number of rates
 
-The penalty is the prior of the surface, which gives the covariance [1]_. The softness (s_w, s_T) maximises the restricted
-likelihood of this prior, and the variances v include the excess of the residuals over the known variances.
-
-References
-----------
-.. [1] G. Wahba, "Bayesian confidence intervals for the cross-validated smoothing spline", J. R. Stat. Soc. B 45, 1983, 133-150.
+Its values at the nodes of the rate get smooth curves over temperature, as the elements of K do.
 """
 
 from dataclasses import dataclass
@@ -35,7 +29,7 @@ from undrift.drift.observe import RateSteps, not_observable
 from undrift.drift.offset import known_variance, near_data
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding
-from undrift.fit.curve import Cubics, fit_curve
+from undrift.fit.curve import fit_curve
 from undrift.fit.gls import determined, excess_variance
 from undrift.fit.triad import inverse_jacobian
 from undrift.model import AXES, DynamicDrift, ScaleDrift, StaticDrift, TriadModel, Verdict
@@ -47,12 +41,8 @@ MATRIX_GAP_C = 10.0
 MAINLY = 0.9  # least share of a turning rate that is about an axis of the case
 SAME_RATE = 0.01  # relative to the largest rate: closer rates are equal
 NEAR_RATE = 0.02  # relative to the largest rate: a node this far beyond the measured rates is not extrapolated
-LOOSE = 1e2  # prior variance of d, in units of the residuals' mean square: it is free
-SOFTNESS = (1e-2, 1e-1, 1.0, 1e1, 1e2)  # s_w and s_T, relative to the spans and the residuals, from stiff to soft
-FREE = 2  # surfaces w and w T, which have no penalty
-MAX_INTERVALS = 6  # intervals of 30 deg/s over the note's rates
+HIGHEST_POWER = 5  # of the rate
 LEAST_DIGIT = 1e-9  # relative to the readings, the arithmetic error of a mean
-LEAST_NOISE = 1e-6  # relative to the values (rad/s if all values are 0), below which noise cannot be resolved
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -89,7 +79,6 @@ class DynamicFit:
     """The table of rate-dependent drift."""
 
     drift: DynamicDrift  # an axis that was not turned has zeros with uncertainty NaN
-    surfaces: tuple["Surface | None", ...]  # per axis, or None if the axis was not turned
     verdict: Verdict
 
 
@@ -233,41 +222,6 @@ def _weigh(design: FloatArray, y: FloatArray, v: FloatArray) -> tuple[FloatArray
 # ---- dynamic drift
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SurfacePoints:
-    """Residual rates of an axis, n rows."""
-
-    turn_rate: FloatArray  # (n,), measured rate, rad/s
-    temp_c: FloatArray  # (n,), degC
-    value: FloatArray  # (n,), measured minus imposed rate, rad/s
-    variance: FloatArray  # (n,), of the value, (rad/s)^2
-    soak: IntArray  # (n,), from 0
-    mounting: IntArray  # (n,), from 0, rows with the same number share d
-
-    def __len__(self) -> int:
-        return len(self.value)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Surface:
-    """A fitted surface."""
-
-    rate: Cubics
-    temp: Cubics
-    coefficients: FloatArray  # (P,), c in the splines that vanish at rate zero
-    covariance: FloatArray  # (P, P), of c, (rad/s)^2
-    softness: tuple[float, float]  # s_w and s_T, in spans and residuals
-
-    def at(self, turn_rate: FloatArray, temp_c: FloatArray) -> FloatArray:
-        """Return e at points (n,), rad/s."""
-        return np.asarray(_design(self.rate, self.temp, turn_rate, temp_c) @ self.coefficients)
-
-    def uncertainty(self, turn_rate: FloatArray, temp_c: FloatArray) -> FloatArray:
-        """Return the standard uncertainty of e at points (n,), rad/s."""
-        x = _design(self.rate, self.temp, turn_rate, temp_c)
-        return np.asarray(np.sqrt(np.maximum(np.einsum("np,np->n", x @ self.covariance, x), 0.0)))
-
-
 def fit_dynamic(
     steps: Steps,
     model: TriadModel,
@@ -280,9 +234,8 @@ def fit_dynamic(
     Nodes are the imposed rates, zero and the ends of the measured rates, rad/s, and temperatures every 5 degC with the ends of
     ``span_c``.
     """
-    points = [_surface_points(axis, steps, model, scale) for axis in range(3)]
-    axis_points = [data for data in points if data is not None]
-    if not axis_points:
+    turned = [axis for axis in range(3) if len(np.unique(steps.soak[steps.axis == axis])) >= 3]
+    if not turned:
         soaks = len(np.unique(steps.soak))
         raise NotObservable(
             f"dynamic drift: each axis needs turns in three soaks or more, got {len(steps)} turns on all axes together (number of "
@@ -292,46 +245,57 @@ def fit_dynamic(
     low_c, high_c = span_c
     between = STEP_C * np.arange(np.floor(low_c / STEP_C) + 1.0, np.ceil(high_c / STEP_C))
     temp_c = np.concatenate(([low_c], between, [high_c]))
-    imposed = np.take_along_axis(steps.rate_b, steps.axis[:, None], axis=1)
-    turn_rate = _rate_nodes(imposed[:, 0], np.concatenate([data.turn_rate for data in axis_points]))
-    grid_w, grid_t = np.tile(turn_rate, len(temp_c)), np.repeat(temp_c, len(turn_rate))
+    imposed = np.take_along_axis(steps.rate_b, steps.axis[:, None], axis=1)[:, 0]
+    rates = measured_rate(steps.gyro, steps.temp_c, model, scale)
+    measured = np.take_along_axis(rates, steps.axis[:, None], axis=1)[:, 0]
+    turn_rate = _rate_nodes(imposed, measured[np.isin(steps.axis, turned)])
     shape = (len(temp_c), len(turn_rate))
     error, uncertainty, extrapolated = np.zeros((*shape, 3)), np.full((*shape, 3), np.nan), np.zeros(shape, bool)
-    surfaces: list[Surface | None] = [None, None, None]
-    findings = list(steps.findings)
-    for axis, data in enumerate(points):
-        if data is None:
-            findings.append(_axis_not_turned(f"Dynamic drift {AXES[axis]}"))
-            continue
-        surface = surfaces[axis] = fit_surface(
-            data,
-            rate_span=(float(turn_rate[0]), float(turn_rate[-1])),
-            temp_span=span_c,
+    findings = [*steps.findings, *(_axis_not_turned(f"Dynamic drift {AXES[k]}") for k in {0, 1, 2} - {*turned})]
+    for axis in turned:
+        rows = steps.axis == axis
+        row = measured_rate(np.eye(3), np.zeros(3), model, None)[:, axis]  # row of M
+        error[:, :, axis], uncertainty[:, :, axis] = _fit_axis(
+            measured[rows],
+            value=measured[rows] - imposed[rows],
+            variance=steps.gyro_variance[rows] @ row**2,
+            temp_c=steps.temp_c[rows],
+            soak=steps.soak[rows],
+            nodes=(temp_c, turn_rate),
         )
-        error[:, :, axis] = surface.at(grid_w, grid_t).reshape(shape)
-        uncertainty[:, :, axis] = surface.uncertainty(grid_w, grid_t).reshape(shape)
-        extrapolated |= _unseen(data, turn_rate, temp_c)
+        extrapolated |= _unseen(measured[rows], steps.temp_c[rows], steps.soak[rows], turn_rate, temp_c)
     drift = DynamicDrift(
         temp_c=temp_c, turn_rate=turn_rate, error=error, uncertainty=uncertainty, extrapolated=extrapolated
     )
-    return DynamicFit(drift=drift, surfaces=tuple(surfaces), verdict=Verdict.of(*findings))
+    return DynamicFit(drift=drift, verdict=Verdict.of(*findings))
 
 
-def _surface_points(axis: int, steps: Steps, model: TriadModel, scale: ScaleDrift | None) -> SurfacePoints | None:
-    """Return the rows of mountings that turned about an axis, or None without three soaks."""
-    axis_steps = steps.taken(steps.axis == axis)
-    if len(np.unique(axis_steps.soak)) < 3:
-        return None
-    rate = measured_rate(axis_steps.gyro, axis_steps.temp_c, model, scale)[:, axis]
-    row = measured_rate(np.eye(3), np.zeros(3), model, None)[:, axis]  # row of M
-    return SurfacePoints(
-        turn_rate=rate,
-        temp_c=axis_steps.temp_c,
-        value=rate - axis_steps.rate_b[:, axis],
-        variance=axis_steps.gyro_variance @ row**2,
-        soak=_number_groups(axis_steps.soak),
-        mounting=_number_groups(axis_steps.mounting),
-    )
+@determined("rate drift")
+def _fit_axis(
+    rate: FloatArray,
+    *,
+    value: FloatArray,
+    variance: FloatArray,
+    temp_c: FloatArray,
+    soak: IntArray,
+    nodes: tuple[FloatArray, FloatArray],
+) -> tuple[FloatArray, FloatArray]:
+    """Return e of an axis at nodes of temperature (m,) and rate (k,), and its standard uncertainty, (m, k), rad/s."""
+    soaks, size = [soak == number for number in np.unique(soak)], float(np.abs(rate).max())
+    levels = min(len(np.unique(np.round((rate - value)[rows] / (SAME_RATE * size)))) for rows in soaks)
+    powers = np.arange(1, max(1, min(levels // 2, HIGHEST_POWER)) + 1)
+    theta, covariance = np.zeros((len(soaks), len(powers))), np.zeros((len(soaks), len(powers), len(powers)))
+    for k, rows in enumerate(soaks):
+        design = np.column_stack((np.ones(rows.sum()), (rate[rows, None] / size) ** powers))
+        solution, spread = _weigh(design, value[rows], variance[rows])
+        theta[k], covariance[k] = solution[1:], spread[1:, 1:]
+    # along the axes of their mean covariance, the errors of the coefficients are independent
+    vectors = np.linalg.eigh(covariance.mean(axis=0))[1]
+    variances = np.einsum("pq,spr,rq->sq", vectors, covariance, vectors)
+    soak_c = np.array([temp_c[rows].mean() for rows in soaks])
+    curve = fit_curve(soak_c, theta @ vectors, variances).at(nodes[0])
+    basis = ((nodes[1][:, None] / size) ** powers @ vectors).T
+    return curve.value @ basis, np.sqrt(curve.uncertainty**2 @ basis**2)
 
 
 def _rate_nodes(imposed: FloatArray, measured: FloatArray) -> FloatArray:
@@ -343,72 +307,15 @@ def _rate_nodes(imposed: FloatArray, measured: FloatArray) -> FloatArray:
     return np.sort(np.append(nodes, ends[(ends < nodes[0] - tolerance) | (ends > nodes[-1] + tolerance)]))
 
 
-def _unseen(points: SurfacePoints, turn_rate: FloatArray, temp_c: FloatArray) -> BoolArray:
+def _unseen(
+    rate: FloatArray, rate_temp_c: FloatArray, soak: IntArray, turn_rate: FloatArray, temp_c: FloatArray
+) -> BoolArray:
     """Mark nodes beyond the temperatures, or beyond the rates that were measured around their temperature."""
-    soaks = [points.soak == s for s in np.unique(points.soak)]
-    soaks.sort(key=lambda rows: float(points.temp_c[rows].mean()))
-    soak_c = np.array([points.temp_c[rows].mean() for rows in soaks])
-    low = np.interp(temp_c, soak_c, [min(points.turn_rate[rows].min(), 0.0) for rows in soaks])[:, None]
-    high = np.interp(temp_c, soak_c, [max(points.turn_rate[rows].max(), 0.0) for rows in soaks])[:, None]
-    slack = NEAR_RATE * float(np.abs(points.turn_rate).max())
+    soaks = [soak == number for number in np.unique(soak)]
+    soaks.sort(key=lambda rows: float(rate_temp_c[rows].mean()))
+    soak_c = np.array([rate_temp_c[rows].mean() for rows in soaks])
+    low = np.interp(temp_c, soak_c, [min(rate[rows].min(), 0.0) for rows in soaks])[:, None]
+    high = np.interp(temp_c, soak_c, [max(rate[rows].max(), 0.0) for rows in soaks])[:, None]
+    slack = NEAR_RATE * float(np.abs(rate).max())
     outside = (turn_rate < low - slack) | (turn_rate > high + slack)
     return np.asarray(outside | ~near_data(temp_c, soak_c, gap_c=MATRIX_GAP_C)[:, None])
-
-
-# ---- the surface e(w, T) with e(0, T) = 0 through scattered points
-
-
-@determined("rate drift")
-def fit_surface(points: SurfacePoints, *, rate_span: tuple[float, float], temp_span: tuple[float, float]) -> Surface:
-    """Fit a surface to the residual rates of an axis at three soaks or more, with the most likely softness."""
-    soaks, levels = len(np.unique(points.soak)), len(np.unique(points.turn_rate))
-    low, high = (float(f((*rate_span, 0.0, f(points.turn_rate)))) for f in (min, max))
-    cold, hot = (float(f((*temp_span, f(points.temp_c)))) for f in (min, max))
-    rate = Cubics(low=low, high=high, intervals=min(MAX_INTERVALS, max(2, levels // 2)))
-    temp = Cubics(low=cold, high=hot, intervals=min(MAX_INTERVALS, soaks - 1))
-    groups = int(points.mounting.max()) + 1
-    value = points.value - (np.bincount(points.mounting, points.value) / np.bincount(points.mounting))[points.mounting]
-    surface = _design(rate, temp, points.turn_rate, points.temp_c)
-    x, p = np.column_stack((surface, np.eye(groups)[points.mounting])), surface.shape[1]
-    size = max(float(np.sqrt(np.mean(value**2))), float(np.sqrt(points.variance.min())), LEAST_NOISE)
-    known_variance, excess = np.maximum(points.variance, (LEAST_NOISE * size) ** 2), 0.0  # a device without noise
-    flat, bent = (_vanishing(rate).T @ rate.products(d) @ _vanishing(rate) for d in (0, 2))
-    bends = np.kron(temp.products(0), bent), np.kron(temp.products(2), flat)
-
-    def solved(softness: tuple[float, float], v: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-        """Return the coefficients of surface and offsets, their covariance, and minus twice the log likelihood."""
-        roughness = bends[0] / (softness[0] * size) ** 2 + bends[1] / (softness[1] * size) ** 2
-        penalty = np.eye(p + groups) / (LOOSE * size**2)
-        penalty[:p, :p] = roughness
-        precision = x.T @ (x / v[:, None]) + penalty
-        covariance = np.linalg.inv(precision)
-        c = covariance @ (x.T @ (value / v))
-        stiff = np.linalg.eigvalsh(roughness)[FREE:]
-        misfit = ((value - x @ c) ** 2 / v).sum() + c @ penalty @ c
-        loss = np.linalg.slogdet(precision)[1] - np.log(stiff).sum() + np.log(v).sum() + misfit
-        return c, covariance, float(loss)
-
-    choices = [(w, t) for t in SOFTNESS for w in SOFTNESS]
-    for _ in range(3):  # the excess follows from the residuals, and the softness from both
-        v = known_variance + excess
-        best = min(choices, key=lambda softness: solved(softness, v)[2])
-        c, covariance, _ = solved(best, v)
-        freedom = len(value) - float(((x @ covariance) * x / v[:, None]).sum())
-        excess = excess_variance(value - x @ c, known_variance, round(freedom))
-    return Surface(
-        rate=rate,
-        temp=temp,
-        coefficients=c[:p],
-        covariance=covariance[:p, :p],
-        softness=best,
-    )
-
-
-def _design(rate: Cubics, temp: Cubics, turn_rate: FloatArray, temp_c: FloatArray) -> FloatArray:
-    over_rate, over_temp = rate.at(turn_rate) @ _vanishing(rate), temp.at(temp_c)
-    return np.asarray((over_temp[:, :, None] * over_rate[:, None, :]).reshape(len(turn_rate), -1))
-
-
-def _vanishing(rate: Cubics) -> FloatArray:
-    """Return combinations of the splines, one per column, that are zero at rate zero."""
-    return np.asarray(np.linalg.svd(rate.at(np.zeros(1)))[2][1:].T)

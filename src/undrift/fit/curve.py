@@ -247,34 +247,3 @@ def not_a_knot(temp_c: FloatArray, value: FloatArray, variance: FloatArray, node
     basis = np.asarray(CubicSpline(temp_c, np.eye(len(temp_c)), bc_type="not-a-knot")(nodes))
     covariance = np.einsum("mi,ik,ni->kmn", basis, variance, basis)
     return NodeValues(value=basis @ value, covariance=covariance)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Cubics:
-    """Cubic B-splines on even knots."""
-
-    low: float
-    high: float
-    intervals: int  # between the knots
-
-    @property
-    def knots(self) -> FloatArray:
-        """Knots in units of the span, ends four-fold, shape (intervals + 7,)."""
-        return np.concatenate((np.zeros(3), np.linspace(0.0, 1.0, self.intervals + 1), np.ones(3)))
-
-    def at(self, x: FloatArray) -> FloatArray:
-        """Return the splines at points, (n,) -> (n, intervals + 3)."""
-        from scipy.interpolate import BSpline
-
-        z = np.clip((x - self.low) / (self.high - self.low), 0.0, 1.0)
-        return np.asarray(BSpline.design_matrix(z, self.knots, 3).toarray())
-
-    def products(self, derivative: int) -> FloatArray:
-        """Return the integrals over the span of the products of all pairs, or of their derivatives."""
-        from scipy.interpolate import BSpline
-
-        nodes, weight = np.polynomial.legendre.leggauss(4)
-        step = 1.0 / self.intervals
-        z = (np.arange(self.intervals)[:, None] * step + 0.5 * step * (nodes + 1.0)).ravel()
-        y: FloatArray = np.asarray(BSpline(self.knots, np.eye(self.intervals + 3), 3)(z, nu=derivative))
-        return np.asarray(y.T @ (y * np.tile(0.5 * step * weight, self.intervals)[:, None]))
