@@ -146,7 +146,7 @@ def check_counted_once(records: Sequence[Record]) -> None:
         readings = np.column_stack([values for values in (record.gyro, record.accel) if values is not None])
         if not (np.nanmin(readings, axis=0) < np.nanmax(readings, axis=0)).any():
             continue  # sensors that repeat one value
-        digest = hashlib.sha256(np.ascontiguousarray(readings)).digest()
+        digest = hashlib.sha256(readings.tobytes()).digest()
         if digest in first:
             raise InputError(f"recordings {first[digest]} and {number} contain the same data. Remove one of the two.")
         first[digest] = number

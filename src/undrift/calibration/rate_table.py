@@ -210,15 +210,14 @@ def _findings(model: TriadModel, fit: GlsFit, dwells: DwellMeans) -> Iterator[Fi
 
 
 def _partial_turns(records: Sequence[Record], turns: Sequence[Turn], settle_s: float) -> Iterator[Finding]:
-    """Yield a finding if a ripple of the rate does not average out, because dwells are shorter than a turn."""
-    angles = list[float]()
-    for turn in turns:
-        time = records[turn.recording].time[steady(records[turn.recording], turn, settle_s)]
-        angles.append(abs(turn.turn_rate or 0.0) * float(time[-1] - time[0]))
-    partial = sum(angle < WHOLE_TURN for angle in angles)
+    """Yield a finding if a ripple of the rate does not average out, because fast dwells are shorter than a turn."""
+    rates = np.array([abs(turn.turn_rate or 0.0) for turn in turns])
+    times = [records[turn.recording].time[steady(records[turn.recording], turn, settle_s)] for turn in turns]
+    angles = rates * [float(time[-1] - time[0]) for time in times]
+    partial = int(((angles < WHOLE_TURN) & (rates >= 0.5 * rates.max())).sum())
     if partial:
-        sentence = f"{partial} of {len(turns)} dwells are shorter than a turn, so a ripple of the table's rate changes the scale."
-        yield finding("rate_table.partial_turns", "info", sentence, "Dwell for a whole turn at each rate.")
+        sentence = f"{partial} fast dwells are shorter than a turn, so a ripple of the table's rate changes the scale."
+        yield finding("rate_table.partial_turns", "info", sentence, "Dwell for a whole turn at the fast rates.")
 
 
 def axes_missing(turn_axes: Sequence[str], unit: str, cross_axis_prior: float) -> Finding:
