@@ -3,9 +3,9 @@ accelerometers.
 
 Every row except the ideal row draws the default errors of a fit: 0.1 deg of mounting about each axis, 0.1 deg of level,
 0.01 deg of wobble, rates wrong by 1e-4 in common. Ripple, settling, codes, flicker and a larger wobble are not
-specified in the fit. Dwells last 3 s, or a whole turn and 2 s more if the rate ripples. A consumer gyroscope's offset walks in every row. Every device is calibrated twice: with its
-accelerometers, from six faces on a level plate, and without. The true offset is the mean over the session, from the
-first to the last of turns and rests.
+specified in the fit. Dwells last 3 s, or a whole turn and 2 s more if the rate ripples. A consumer gyroscope's offset
+walks in every row. Every device is calibrated twice: with its accelerometers, from six faces on a level plate, and
+without. The true offset is the mean over the session, from the first to the last of turns and rests.
 """
 
 from collections.abc import Iterator
