@@ -14,7 +14,7 @@ from undrift.arrays import BoolArray, FloatArray
 from undrift.errors import Implausible
 from undrift.findings import Finding, Level, above, finding, told_apart
 from undrift.fit.priors import SCALE_LIMIT
-from undrift.io.inspect import saturated_runs
+from undrift.io.inspect import STUCK, saturated_runs
 from undrift.model import AXES
 from undrift.record import FACES, Face, Record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, is_physical, si_factor
@@ -107,6 +107,8 @@ NEAR_ZERO = 0.1  # relative to the largest reading: a level nearer to zero is th
 
 def end_readings(column: FloatArray) -> list[float]:
     """Return the readings at which a column (N,) sticks because the range ends."""
+    if all(np.count_nonzero(column == end.reduce(column)) < STUCK for end in (np.fmin, np.fmax)):
+        return []
     limits, finite = [limit for limit, _ in saturated_runs(column)], column[np.isfinite(column)]
     ends = (float(finite.min()), float(finite.max())) if len(finite) else ()
     for end in ends:  # most readings at one end, which ``saturated_runs`` considers the usual level

@@ -163,9 +163,12 @@ SPREAD_LIMITS, EDGE_LIMITS = (0.05, 0.23), (0.2, CUT_OFF_SHARE)  # warn and fail
 def check_turns(session: Session, stills: tuple[Still, ...], settle_s: float) -> Iterator[Finding]:
     """Check that every turn is steady, or goes from rest to rest. Raise if its gyroscope is dead."""
     faults: list[tuple[bool, float, int, str]] = []  # fail, share, number of the turn, sentence
-    saturated = saturated_turns(session, settle_s)
+    saturated, at_rest = saturated_turns(session, settle_s), dict[int, FloatArray]()
+    for k, record in enumerate(session.records):
+        if record.gyro is not None and (rests := [record.gyro[s.start : s.stop] for s in stills if s.recording == k]):
+            at_rest[k] = np.mean([np.nanmean(rest, axis=0) for rest in rests], axis=0)
     for number, turn in enumerate(session.turns):
-        rate = np.abs(_smooth_rate(session, stills, turn, settle_s))
+        rate = np.abs(_smooth_rate(session, at_rest.get(turn.recording), turn, settle_s))
         if not len(rate) or number in saturated:
             continue
         if turn.angle is not None:
@@ -208,10 +211,9 @@ def saturated_turns(session: Session, settle_s: float) -> tuple[int, ...]:
     return tuple(number for number, window in enumerate(windows) if len(window) and stuck_windows([window])[0])
 
 
-def _smooth_rate(session: Session, stills: tuple[Still, ...], turn: Turn, settle_s: float) -> FloatArray:
+def _smooth_rate(session: Session, at_rest: FloatArray | None, turn: Turn, settle_s: float) -> FloatArray:
     """Return r (N,) of a turn in the raw unit, or an empty array if r cannot be computed or is near the noise."""
     record = session.records[turn.recording]
-    rests = [record.gyro[s.start : s.stop] for s in stills if s.recording == turn.recording and record.gyro is not None]
     if record.gyro is None or turn.axis is None or not (turn.turn_rate or turn.angle):
         return np.empty(0)
     axis = AXES.index(turn.axis)
@@ -223,10 +225,10 @@ def _smooth_rate(session: Session, stills: tuple[Still, ...], turn: Turn, settle
         )
     width = max(1, round(SMOOTH_S * record.sample_rate_hz))
     readings = _steady_rate(session, turn, settle_s)[:, axis]
-    if not rests or len(readings) < 2 * width or np.isnan(readings).any():
+    if at_rest is None or len(readings) < 2 * width or np.isnan(readings).any():
         return np.empty(0)
     rate = np.convolve(readings, np.full(width, 1.0 / width), mode="valid")
-    rate -= np.mean([np.nanmean(rest[:, axis]) for rest in rests])
+    rate -= at_rest[axis]
     noise = float(np.diff(readings).std()) / np.sqrt(2.0 * width)
     return rate if np.quantile(np.abs(rate), 0.9) > MIN_NOISES * noise else np.empty(0)
 
