@@ -100,6 +100,13 @@ def check_positive(settings: object, what: str, advice: str, *names: str) -> Non
             raise InputError(f"{what}: `{name}` must be above 0, got {value}. {advice}.")
 
 
+def check_type(value: object, kind: type | UnionType, where: str, advice: str = "") -> None:
+    """Raise InputError if a value is not of a class. ``where`` names the function and its parameter."""
+    if not isinstance(value, kind):
+        wanted = " or ".join(each.__name__ for each in (get_args(kind) or (kind,)) if each is not type(None))
+        raise InputError(f"{where}: expected {wanted}, got {type(value).__name__}.{advice and ' '}{advice}")
+
+
 def check_choices(settings: Any, what: str) -> None:
     """Raise InputError if a field of a Literal type has a value outside its choices."""
     for name, choices in _choices_of(settings.__class__):

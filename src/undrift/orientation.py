@@ -42,7 +42,7 @@ from undrift.correction.rest import (
     rest_offset,
     rests_from_first,
 )
-from undrift.errors import InputError, check_choices
+from undrift.errors import InputError, check_choices, check_type
 from undrift.findings import Finding, finding, two_digits
 from undrift.frames import integrate_strapdown, quaternion_conjugate, quaternion_product, rotate, rotation
 from undrift.io.dataframes import orientation_frame
@@ -334,6 +334,8 @@ def orient(
     >>> orientation.q_nb.shape == (len(trial.record), 4)
     True
     """
+    check_type(record, Record, "orient: `record`", "Read a file with read_record.")
+    check_type(settings, OrientSettings, "orient: `settings`", "Write OrientSettings(...).")
     disagreements, full_record = check_triads(record), record.in_si()
     check_whole(full_record)
     _check_field(full_record, settings)

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -34,7 +35,7 @@ from undrift.calibration.settings import AccelFit, CalibrateSettings, GyroFit, M
 from undrift.calibration.six_face import calibrate_faces
 from undrift.calibration.sources import Kind, creep_of, name_stated_sources
 from undrift.calibration.triads import check_triads
-from undrift.errors import CalibrationError, InputError, NotObservable, check_choice
+from undrift.errors import CalibrationError, InputError, NotObservable, check_choice, check_type
 from undrift.findings import Finding, Level, finding
 from undrift.fit.priors import SCALE_FACTOR
 from undrift.fit.triad import TriadFit, triad_fit
@@ -142,6 +143,10 @@ def calibrate(
     >>> calibration.gyro.method, calibration.accel.method, calibration.verdict.status
     ('rate-table/affine', 'six-face/affine', 'good')
     """
+    for number, value in enumerate((session, *further)):
+        kinds = Record if number else Session | Record
+        check_type(value, kinds, "calibrate", "Read a file with read_record, or a folder with read_session.")
+    check_type(settings, CalibrateSettings, "calibrate: `settings`", "Write CalibrateSettings(...).")
     if isinstance(session, Record):
         session = _build_session((session, *further), gravity_m_s2, serial)
     elif further or gravity_m_s2 is not None or serial:
@@ -153,6 +158,7 @@ def calibrate(
 
 def _build_session(records: Sequence[Record], gravity_m_s2: float | None, serial: str = "") -> Session:
     """Return recordings as a session, with standard gravity if none is given."""
+    check_type(gravity_m_s2, Real | None, "calibrate: `gravity_m_s2`", "Give a number in m/s2.")
     return Session(
         kind="calibration",
         serial=serial or records[0].device,

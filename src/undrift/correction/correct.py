@@ -50,7 +50,7 @@ from undrift.correction.plan import (
     plan_record,
 )
 from undrift.correction.rest import RemainingOffset, find_offset
-from undrift.errors import InputError, check_choice
+from undrift.errors import InputError, check_choice, check_type
 from undrift.findings import Finding
 from undrift.model import NO_TABLES, Calibration
 from undrift.record import Record
@@ -223,6 +223,8 @@ def correct_checked(
     >>> len(corrected.findings), int(corrected.outside.sum())
     (0, 0)
     """
+    check_type(record, Record, "correct: `record`", "Read a file with read_record.")
+    check_type(calibration, Calibration, "correct: `calibration`", "Read a file with read_calibration.")
     carry = carry_at_start(float(record.time[0]), power_on_s)
     plans = plan_record(record, calibration)
     corrected = correct_planned(record, calibration, plans, policy=policy, out=out, threads=threads, carry=carry)

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from undrift.errors import FileFormatError, InputError
+from undrift.errors import FileFormatError, InputError, check_type
 from undrift.files import checked_file, read_bytes, read_tree, sound
 from undrift.io.column_map import READ_SETTINGS, ColumnMap, TempFile, check_parts, is_native, naming, one_map
 from undrift.io.columns import RawTable, ReadResult, build_record, in_seconds, is_date, is_number, with_temperature
@@ -300,6 +300,7 @@ def read_record(path: str | Path, column_map: ColumnMap | None = None) -> Record
     >>> len(record), record.gyro_unit, record.sample_rate_hz
     (3, 'dps', 100.0)
     """
+    check_type(path, str | Path, "read_record: `path`")
     if column_map is not None:
         check_parts(column_map)
     return read_counted(path, column_map).record

@@ -30,7 +30,7 @@ from undrift.arrays import BoolArray, FloatArray, frozen
 from undrift.calibration.triads import check_triads
 from undrift.correction.correct import correct_checked
 from undrift.correction.rest import IN_MOTION, RemainingOffset, find_offset, mean_variance
-from undrift.errors import AlignmentError, InputError, check_choices
+from undrift.errors import AlignmentError, InputError, check_choices, check_type
 from undrift.findings import Finding, finding
 from undrift.frames import (
     integrate_strapdown,
@@ -183,6 +183,8 @@ def compare_orientations(
     >>> bool(np.degrees(np.abs(error.pitch)).max() < 0.1)
     True
     """
+    for q in (q_nb, reference_q_nb):
+        check_type(q, np.ndarray, "compare_orientations", "Give quaternions (N, 4), for example orientation.q_nb.")
     e = quaternion_product(q_nb, quaternion_conjugate(reference_q_nb))
     pitch = sagittal_pitch(q_nb, forward=forward, up=up) - sagittal_pitch(reference_q_nb, forward=forward, up=up)
     return OrientationError(
@@ -319,6 +321,8 @@ def validate_trial(
     >>> bool(result.figures.max_abs_pitch_deg < 0.5)
     True
     """
+    check_type(record, Record, "validate: `record`", "Read a file with read_record.")
+    check_type(reference, Reference, "validate: `reference`", "Read a file with read_reference.")
     name, model = name or reference.name, None if calibration is None else calibration.gyro
     record, findings = _corrected(record, calibration)
     clocks = clocks or synchronise(record, reference, settings.longest_lag_s)

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.errors import InputError
+from undrift.errors import InputError, check_type
 from undrift.record import TemperatureSensitivity
 from undrift.sim.device.effects import (
     Adc,
@@ -215,6 +215,7 @@ def random_device(rng: np.random.Generator, *, grade: str | Grade = "consumer", 
     >>> device.gyro.unit
     'count'
     """
+    check_type(rng, np.random.Generator, "random_device: `rng`", "Write numpy.random.default_rng(7).")
     from scipy.special import ndtr, ndtri
 
     chosen = grade_of(grade) if isinstance(grade, str) else grade
