@@ -222,11 +222,14 @@ def _check(record: Record, where: str) -> None:
     """Raise InputError if a recording lacks a triad, is too short, is not in physical units, or has gaps."""
     if record.gyro is None or record.accel is None:
         raise InputError(f"{where}: gyroscopes and accelerometers are needed, got one of them. Map both.")
-    for unit, name in ((record.gyro_unit, "gyroscopes"), (record.accel_unit, "accelerometers")):
+    for unit, name, example in (
+        (record.gyro_unit, "gyroscopes", 'gyro = "dps" in units, and scale = { gyro = { gain = 0.061 } }'),
+        (record.accel_unit, "accelerometers", 'accel = "g" in units, and scale = { accel = { gain = 0.000061 } }'),
+    ):
         if not is_physical(unit):
             raise InputError(
-                f"{where}: the {name} are in {unit}, and motion does not determine the size of this unit. Enter the gain of the "
-                "columns in the map. Example for a device with a known range: scale = { gyro = { gain = 0.061 } }."
+                f"{where}: the {name} are in {unit}, and motion does not determine the size of this unit. Enter unit and gain in "
+                f"the map. Example: {example}."
             )
     gaps = int((~np.isfinite(np.hstack((record.gyro, record.accel)))).any(axis=1).sum())
     if gaps or record.duration_s < LEAST_S:
