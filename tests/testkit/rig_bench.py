@@ -174,12 +174,6 @@ def run(
     return result, hands
 
 
-def mean_turn_rate(rig, clock, duration_s):
-    """Return the mean rate over a while, from two positions."""
-    first = rig.position()
-    clock.wait(duration_s)
-    last = rig.position()
-    return (last.angle - first.angle) / (last.time - first.time)
 
 
 def at_rest(bench, within_s=60.0):

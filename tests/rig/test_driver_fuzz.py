@@ -1,0 +1,178 @@
+"""Thousands of answers and commands spoilt on their way: a driver says so, never hangs, and begins nothing unconfirmed."""
+
+import contextlib
+import random
+import re
+from collections import Counter
+from dataclasses import dataclass
+
+import pytest
+
+from testkit.cards import Board, Card
+from testkit.data import show
+from testkit.scripted_server import VirtualScripted
+from testkit.virtual_clock import VirtualClock
+from undrift.errors import LinkError, RigError, RigFault, RigTimeout
+from undrift.rig.galil import GalilCard, GalilRig
+from undrift.rig.grbl import GrblBoard, GrblRig
+from undrift.rig.rig import RigSettings
+from undrift.units import RADIAN_PER_DEGREE as DPS
+
+LETTERS = b"<>?|:,.-$= 0123456789okerrorMPosIdleJogTPXBG\r\n\x00\x07\xff\xc2"
+REPLY_S = 0.03
+WORD = re.compile("[\x85]|\x18(?!\x16)|[^\r\n\x85]+")  # a command of a line, or a single byte
+CALLS = {
+    "identify": lambda rig: rig.identify(),
+    "on": lambda rig: rig.enable(True),
+    "off": lambda rig: rig.enable(False),
+    "acceleration": lambda rig: rig.set_acceleration(40.0),
+    "turn": lambda rig: rig.turn_for(90.0 * DPS, 1.0),
+    "stop": lambda rig: rig.stop(),
+    "position": lambda rig: rig.position(),
+    "fault": lambda rig: rig.fault(),
+}
+ASKED = {"9609", "9608"}  # counts of the turn, at the card's own acceleration and at the one set
+
+
+@dataclass(frozen=True)
+class Driver:
+    """A driver, the controller that it talks to, and its words."""
+
+    controller: type
+    link: type
+    rig: type
+    begin: re.Pattern[str]  # what begins a move
+    stop: re.Pattern[str]  # what brings an axis to rest
+    asks: re.Pattern[str]  # what changes nothing
+    line: dict[str, object]  # how its lines end
+
+
+DRIVERS = {
+    "galil": Driver(
+        Card, GalilCard, GalilRig, re.compile("BGX"), re.compile("STX|AB"), re.compile(r"MG .*|TC1|MOX|\x12\x16"), {}
+    ),
+    "grbl": Driver(
+        Board, GrblBoard, GrblRig, re.compile(r"\$J=.*"), re.compile("!?[\x85\x18]"), re.compile(r"\?|!|\$\$|\$SLP|\$X"),
+        {"terminator": b"\n", "at_once": "?!~\x18\x85"},
+    ),
+}  # fmt: skip
+
+
+class PoorLine:
+    """A controller at the end of a line that spoils a share of what passes, once it is armed."""
+
+    def __init__(self, driver, seed, share):
+        self.controller, self.share, self.chance = driver.controller(), share, random.Random(seed)
+        self.clock, self.armed, self.spoilt, self.begun = VirtualClock(), False, Counter(), set()
+        self.server = VirtualScripted(self, self.clock, **driver.line)
+
+    def __call__(self, command):
+        if not self.armed or self.chance.random() >= self.share:
+            return self.answer(command)
+        way = self.chance.choice(WAYS)
+        self.spoilt[way.__name__] += 1
+        return way(self, command)
+
+    def answer(self, command):
+        """Return what the controller says; a word that lost a letter is no command of it."""
+        if command == "BGX":
+            self.begun.add(self.controller.held.get("PR"))
+        try:
+            return self.controller(command)
+        except (KeyError, ValueError):
+            return b"?"
+
+    def cut(self, command):
+        said = self.answer(command) or b""
+        return said[: self.chance.randrange(len(said) + 1)]
+
+    def changed(self, command):
+        said = bytearray(self.answer(command) or b"?")
+        said[self.chance.randrange(len(said))] = self.chance.choice(LETTERS)
+        return bytes(said)
+
+    def rubbish(self, command):
+        self.answer(command)
+        return bytes(self.chance.choice(LETTERS) for _ in range(self.chance.randrange(60)))
+
+    def doubled(self, command):
+        return 2 * (self.answer(command) or b"")
+
+    def late(self, command):
+        said = self.answer(command)
+        self.clock.jump(self.clock.now() + REPLY_S * self.chance.uniform(0.5, 2.0))
+        return said
+
+    def unanswered(self, command):
+        self.answer(command)
+
+    def cut_off(self, command):
+        self.answer(command)
+        self.server.hang_up()
+
+    def byte_lost(self, command):
+        place = self.chance.randrange(len(command))
+        return self.answer(command[:place] + command[place + 1 :])
+
+
+WAYS = (
+    PoorLine.cut, PoorLine.changed, PoorLine.rubbish, PoorLine.doubled, PoorLine.late, PoorLine.unanswered, PoorLine.cut_off,
+    PoorLine.byte_lost,
+)  # fmt: skip
+
+
+def check_sent(driver, name, sent, failure):
+    """A move is begun at most once, by the call that asks for it, and after a failure the table is told to stop."""
+    begun = [place for place, command in enumerate(sent) if driver.begin.fullmatch(command)]
+    assert len(begun) <= (name == "turn"), (name, sent)
+    if driver.controller is Card and begun:
+        assert sent[begun[0] - 1] == "PR ?", sent
+    if isinstance(failure, LinkError | RigTimeout) and sent:
+        harmless = re.compile(f"{driver.stop.pattern}|{driver.asks.pattern}")
+        last = max((place for place, command in enumerate(sent) if not harmless.fullmatch(command)), default=-1)
+        assert any(driver.stop.fullmatch(command) for command in sent[last + 1 :]), (name, sent)
+
+
+def converse(driver, line, names, failures):
+    """Open a rig, and give it calls over a poor line until it is of no use any more."""
+    line.armed = False
+    link = driver.link(line.server.url, reply_timeout_s=REPLY_S, clock=line.clock)
+    rig, sent, send = driver.rig(link, RigSettings(clock=line.clock)), [], link.send
+
+    def noted(data):
+        sent.extend(WORD.findall(data.decode("latin-1")))
+        send(data)
+
+    link.send = noted
+    line.armed = True
+    for name in names:
+        sent.clear()
+        start, failure = line.clock.now(), None
+        try:
+            CALLS[name](rig)
+        except (LinkError, RigTimeout, RigFault) as error:
+            failure = error
+            failures[type(error).__name__] += 1
+        assert line.clock.now() - start < 60.0, f"{name} hangs"
+        check_sent(driver, name, sent, failure)
+        if "Open it again" in str(failure):
+            break
+    with contextlib.suppress(RigError):
+        rig.close()
+    assert not link.is_open
+
+
+@pytest.mark.parametrize("share", [0.03, 0.3])
+@pytest.mark.parametrize("name", DRIVERS)
+def test_spoilt_lines_end_in_errors_and_begin_nothing(name, share):
+    driver, failures, spoilt = DRIVERS[name], Counter(), Counter()
+    for seed in range(10):
+        line = PoorLine(driver, seed, share)
+        while len(line.server.heard) < 400:
+            with contextlib.suppress(RigError):  # of the opening
+                converse(driver, line, line.chance.choices([*CALLS], k=20), failures)
+        spoilt += line.spoilt
+        assert line.begun <= ASKED, "a move was begun whose distance the card had otherwise"
+    show(f"{name}: spoilt, and failed", (sum(spoilt.values()), failures))
+    assert set(spoilt) == {way.__name__ for way in WAYS}
+    assert set(failures) >= {"LinkError", "RigTimeout"}
