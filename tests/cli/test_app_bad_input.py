@@ -5,7 +5,7 @@ import pytest
 from testkit.command_line import at_rest, contents, lines_of, write_lines
 from undrift.io.formats import read_record, write_record
 
-COMMANDS = ("info", "calibrate", "correct", "orient", "validate", "noise")
+COMMANDS = ("info", "calibrate", "drift", "correct", "orient", "validate", "noise")
 
 
 def _cell(column, value, row=300):
@@ -44,6 +44,7 @@ def words_for(command, path, bench, folder):
         return ["calibrate", folder, "-o", folder / "kept.json"]
     return {
         "info": ["info", path, "--json"],
+        "drift": ["drift", path, *calibration, "-o", folder / "kept.json"],
         "correct": ["correct", path, *calibration, "-o", folder / "kept.parquet"],
         "orient": ["orient", path, *calibration, "-o", folder / "kept.csv"],
         "validate": ["validate", path, *calibration, "--reference", bench / "reference.parquet", "-o", folder / "kept"],

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from testkit.command_line import beyond_the_table
 from undrift.io.formats import write_record
 from undrift.record import Record
 
@@ -30,23 +29,6 @@ def test_what_undrift_writes_is_told(undrift, bench, name, kind, word):
         assert told["stills"]
         assert told["units"]["accel"] == "count"
         assert told["temp_c"][0] < told["temp_c"][1]
-
-
-def test_a_calibration_is_told_triad_by_triad_and_table_by_table(undrift, bench, tmp_path):
-    path, *_ = beyond_the_table(bench, tmp_path)
-    path = path.with_name("c.json")
-    told = undrift.good("info", path, "--json").json()
-    (table,) = told["tables"]["tables_over_temperature"]
-    assert table == {
-        "table": "offset of the gyro",
-        "from (degC)": 20.0,
-        "to (degC)": 30.0,
-        "nodes": 2,
-        "extrapolated": 0,
-    }
-    assert told["answer"].startswith(f"{path} (calibration, json): ")
-    assert told["tables"]["gyroscopes_parameters"]
-    assert "offset of the gyro" in undrift.good("info", path).out
 
 
 def test_an_uneven_log_is_told_by_samples_over_time_with_its_usual_step_beside(undrift, tmp_path):

@@ -3,26 +3,9 @@
 import numpy as np
 import pytest
 
-from testkit.command_line import at_rest, contents
 from testkit.data import show
 from undrift.io.formats import write_record
 from undrift.record import Record
-
-
-def test_what_noise_refuses(undrift, bench, tmp_path):
-    at_rest(tmp_path, "rest.csv")
-    (tmp_path / "old.html").write_text("kept")
-    before = contents(tmp_path)
-
-    def refused(*words):
-        line = undrift.refused("noise", *words)
-        assert contents(tmp_path) == before
-        return line
-
-    assert "must be at rest" in refused(bench / "trial.parquet", "--report", tmp_path / "old.html")
-    assert "Create it first" in refused(tmp_path / "rest.csv", "--report", tmp_path / "none" / "a.html")
-    assert "LOW below HIGH" in refused(tmp_path / "rest.csv", "--rest-s", "50:40")
-    assert "LOW:HIGH" in refused(tmp_path / "rest.csv", "--rest-s", "nan")
 
 
 @pytest.mark.slow

@@ -4,7 +4,6 @@ import pytest
 
 from testkit.long_calls import long_call
 from testkit.pages import faults_of
-from undrift.cli.app import run
 from undrift.sim.device.model import read_device
 
 pytestmark = pytest.mark.usefixtures("computed_once")
@@ -17,18 +16,3 @@ def test_one_recording_makes_a_device_that_can_be_read(tmp_path_factory: pytest.
     device = read_device(folder / "device.json")
     assert device.source_tag == "fitted"
     assert device.gyro.adc is not None
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ([], "parameter RECORDS requires an argument. Run undrift twin --help."),
-        (["missing.parquet", "--reference", "missing.csv"], "missing.parquet: there is no file of that name"),
-    ],
-)
-def test_a_wrong_call_is_one_line(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["twin", *words]) == 2
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert len(told.err.splitlines()) == 1
-    assert said in told.err

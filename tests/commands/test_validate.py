@@ -9,15 +9,12 @@ import pytest
 from benchmarks.broad_files import broad_file
 
 from testkit.data import data_path, show
-from testkit.findings import only
 from testkit.hand_turns import Device, make_recording
 from testkit.plain_triad import plain_triad
 from undrift.io.formats import write_record
 from undrift.io.reference import write_reference
-from undrift.io.session import write_session
 from undrift.io.store import read_calibration, write_calibration
 from undrift.model import Calibration
-from undrift.record import Session
 
 pytestmark = pytest.mark.usefixtures("computed_once")
 
@@ -63,40 +60,6 @@ def test_each_recording_judged_by_the_others_and_what_is_written(undrift, tmp_pa
     assert np.mean(uncalibrated["simulated_deg"]) == pytest.approx(np.mean(uncalibrated["error_deg"]), rel=0.15)
     assert told["calibration"] == "reference"
     assert answer.json() == written
-
-
-@pytest.mark.slow
-def test_a_fit_to_references_takes_local_gravity_from_the_session(undrift, tmp_path):
-    rng = np.random.default_rng(4)
-    pairs = [
-        make_recording(rng, Device(noise=1e-3), turn_s=25.0, sample_rate_hz=100.0, tilt=tilt)
-        for tilt in (0.0, 1.5, -1.4, 3.0)
-    ]
-    session = Session(kind="calibration", serial="A", gravity_m_s2=9.82, records=[p[0] for p in pairs])
-    write_session(session, tmp_path / "session")
-    words, records = ["--calibrate-from", "reference", "-o", tmp_path / "out"], []
-    for number, (record, reference) in enumerate(pairs):
-        write_record(record, tmp_path / f"{number}.parquet")
-        write_reference(reference, tmp_path / f"poses_{number}.parquet")
-        records.append(tmp_path / f"{number}.parquet")
-        words += ["--reference", tmp_path / f"poses_{number}.parquet"]
-
-    def fitted(*more):
-        answer = undrift.good("validate", *more, *words)
-        made = read_calibration(tmp_path / "out" / "calibration.json")
-        assert "calibrated with these same recordings" in answer.out
-        assert "Within the predicted limits: " in answer.out
-        return made, dict(made.provenance.settings)["gravity"]
-
-    bare, source = fitted(*records)
-    assert (bare.gravity_m_s2, source) == (9.80665, "standard")
-    assert only(bare.verdict.findings, "session.gravity").level == "info"
-    own, source = fitted(tmp_path / "session")
-    assert (own.gravity_m_s2, source, own.device) == (9.82, "stated", "A")
-    ratio = np.diag(own.accel.matrix) / np.diag(bare.accel.matrix)
-    np.testing.assert_allclose(ratio, 9.82 / 9.80665, atol=2e-4)
-    line = undrift.refused("validate", records[0], "--reference", tmp_path / "poses_0.parquet", "--leave-one-out")
-    assert "--leave-one-out requires --calibrate-from reference" in line
 
 
 @pytest.mark.slow

@@ -241,35 +241,6 @@ def test_a_nilspod_whose_samples_are_lost_says_how_many_and_one_that_disagrees_i
 
 # ---- all of them
 
-SAMPLES = {
-    "makers/xdf/minimal.xdf": None,
-    "makers/ros_bag_imu/test2.bag": None,
-    "makers/ros_bag_imu/derived_ros2/test2_imu_only.db3": None,
-    "makers/ros_bag_imu/derived_ros2/test2_imu_only.mcap": None,
-    "makers/px4_ulog/sample_log_small.ulg": "sensor_combined",
-    "makers/nilspod_bin/NilsPodX-6F13_20210109_162824.bin": None,
-}
-
-
-@pytest.mark.parametrize("name", SAMPLES)
-def test_a_cut_or_overwritten_container_ends_in_one_line(tmp_path, name):
-    path = data_path(*name.split("/"))
-    whole, copy = path.read_bytes(), tmp_path / path.name
-    noise = np.random.default_rng(2).bytes(len(whole))
-    for content in (
-        whole[: len(whole) // 3],
-        whole[: int(0.9 * len(whole))],
-        whole[:80] + noise[80:],
-        whole[:12] + noise,
-    ):
-        copy.write_bytes(content)
-        with pytest.raises(InputError, match=r"^\S+: (.*expected .*, got .*\. |.*damaged)") as caught:
-            read_record(copy, sensor(SAMPLES[name]))
-        assert "\n" not in str(caught.value)
-    copy.write_bytes(whole[: int(0.9 * len(whole))])
-    with pytest.raises(FileFormatError):
-        read_record(copy, sensor(SAMPLES[name]))
-
 
 def test_a_library_that_is_missing_is_named_with_its_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyulog", None)

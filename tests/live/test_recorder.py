@@ -239,14 +239,6 @@ def test_a_device_that_hangs_up_is_told():
             recorder.latest()
 
 
-def test_a_stopped_recorder_does_not_let_anybody_wait():
-    recorder, _ = on_virtual_clock(paced(500))
-    with recorder:
-        recorder.stop()
-        with pytest.raises(LinkError, match=r"recorder was stopped"):
-            recorder.between(recorder.now(), recorder.now() + 5.0)
-
-
 def test_what_is_no_longer_kept_is_refused():
     recorder, _ = on_virtual_clock(paced(3000), keep_s=0.1)
     with recorder:

@@ -10,15 +10,12 @@ from testkit.cohorts import COHORTS
 from testkit.data import show
 from testkit.full_calibration import with_magnetometer
 from testkit.plain_triad import plain_triad
-from undrift.calibration.calibrate import calibrate
 from undrift.calibration.expanded import expand
 from undrift.errors import InputError
 from undrift.io.store import read_calibration, write_calibration
 from undrift.model import SOURCES, Budget, Calibration
 from undrift.report import Estimate
 from undrift.report.certificate import SOURCE_ROWS, certificate_report, write_certificate
-from undrift.sim.device.presets import random_device
-from undrift.sim.sessions import simulate_session
 
 
 @pytest.fixture(scope="module")
@@ -191,17 +188,6 @@ def test_what_has_no_covariance_is_refused(calibration: Calibration) -> None:
 )
 def test_values_are_rounded_to_their_uncertainty(value: float, uncertainty: float, shown: str) -> None:
     assert str(Estimate(value, uncertainty)) == shown
-
-
-def test_turns_by_hand_keep_their_shares(tmp_path) -> None:
-    rng = np.random.default_rng(11)
-    device = random_device(rng)
-    made = calibrate(simulate_session("ferraris", device, rng=rng))
-    assert made.gyro.method.startswith("known-rotation")
-    assert {"axis", "noise", "instability"} <= set(made.gyro.budget.sources)
-    np.testing.assert_allclose(expand(made.gyro).standard, made.gyro.standard_uncertainty, rtol=1e-12)
-    assert "Rig: axis of turns" in budget_of(made, "gyroscopes")
-    assert "Angles: as entered for the turns." in page(made, tmp_path / "c.html")
 
 
 # ---- what is beside the session

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from undrift.correction.correct import correct
-from undrift.report.figures import trial_figure
 from undrift.report.page import page_text
 from undrift.report.validation import ERRORS, Comparison, errors_table, validation_report
 from undrift.sim.device.presets import random_device
@@ -73,28 +72,3 @@ def test_every_number_of_the_table_is_a_field_of_the_result(result):
     for row, errors in zip(table.rows, figures, strict=True):
         assert list(row[1:-2]) == [getattr(errors, key) for key in ERRORS.values()]
         assert row[-2:] == (100.0 * errors.pitch_defined, 100.0 * errors.valid_optics)
-
-
-def test_a_peak_in_the_table_is_a_peak_in_the_figure(result):
-    # A long trial: more samples than the picture has columns, and the peak one sample long.
-    trial = result.trials[0]
-    n = 50_000
-    course = 0.01 * np.sin(np.arange(n) / 40.0)
-    course[31_417] = np.radians(-8.41)
-    nothing = np.zeros(n)
-    error = replace(trial.error, total=np.abs(course), heading=nothing, inclination=nothing, pitch=course)
-    long = replace(
-        trial,
-        time=np.arange(n) / 286.0,
-        error=error,
-        sensor_pitch=nothing,
-        reference_pitch=nothing,
-        moving=(np.arange(n) > 20_000).astype(float),
-    )
-    _, panel = trial_figure(long).axes
-    drawn = {line.get_label(): line for line in panel.lines}
-    assert drawn["pitch"].get_ydata().min() == pytest.approx(-8.41)
-    assert drawn["total"].get_ydata().max() == pytest.approx(8.41)
-    assert len(drawn["pitch"].get_ydata()) < 4001
-    (shade,) = panel.patches
-    assert shade.get_x() == pytest.approx(20_001 / 286.0)

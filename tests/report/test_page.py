@@ -59,7 +59,3 @@ def test_the_verdict_stands_first_with_its_reasons():
     assert places == sorted(places)
     assert 'class="verdict marginal"' in text
     assert "Verdict" not in page()
-
-
-def test_a_page_fetches_nothing():
-    assert not re.search(r"(src|href)=|https?:|@import|url\(", page(tables=[Table(title="t")]))

@@ -141,18 +141,3 @@ def test_a_run_takes_a_disturbed_rest_again_and_keeps_only_sound_ones(tmp_path, 
         record = read_counted(tmp_path / piece.name).record
         assert np.allclose(record.accel.mean(axis=0), STANDARD_GRAVITY * UP[piece.up], atol=0.01)
         assert np.ptp(record.gyro, axis=0).max() < 0.2
-
-
-def test_a_resumed_run_knows_the_rests_on_the_disk(tmp_path):
-    bench = simulated()
-    run(bench, tmp_path, FACES_ALONE)
-    max((tmp_path / "pieces").iterdir()).unlink()  # the last face is repeated
-
-    class Loud(Device):
-        def stop(self):
-            record = super().stop()
-            noise = np.random.default_rng(1).normal(size=record.gyro.shape)
-            return replace(record, gyro=record.gyro + 2.0 * STILL * 0.02 * noise)
-
-    with pytest.raises(RigFault, match="times the spread"):
-        run(bench, tmp_path, FACES_ALONE, resume=True, readings=Loud)

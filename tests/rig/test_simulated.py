@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from testkit.rig_bench import SHORT, run
-from undrift.errors import RigError, RigFault
 from undrift.io.session import read_session
-from undrift.rig.rig import open_rig
 from undrift.rig.simulated import AirSettings, SimulatedBench, SimulatedSettings
 from undrift.sim.device.presets import random_device
 
@@ -39,20 +37,3 @@ def test_a_chamber_soaks_and_the_board_follows(tmp_path):
     bench.chamber.close()
     bench.clock.wait(3600.0)
     assert bench.chamber.read() == pytest.approx(25.0, abs=1.0)
-
-
-def test_a_table_turns_for_a_time_and_keeps_its_limits():
-    table = open_rig("simulated:?clock_speed=1e6")
-    table.enable(True)
-    table.set_acceleration(40.0)
-    start = table.position().angle
-    assert table.turn_for(1.0, 2.0) == pytest.approx(1.0, rel=1e-3)
-    table._bench.clock.wait(2.0)
-    table.stop()
-    assert table.position().angle - start == pytest.approx(1.0 * (2.0 - 1.0 / 40.0), abs=1e-3)
-    assert table.fault() is None
-    with pytest.raises(RigError):
-        table.turn_for(100.0, 2.0)
-    table.close()
-    with pytest.raises(RigFault, match="its motor off"):
-        table.turn_for(1.0, 2.0)

@@ -12,10 +12,9 @@ from undrift.correction.correct import correct
 from undrift.errors import InputError
 from undrift.sim.device.effects import RandomWalk, Sampling, Thermometer
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.device.presets import preset, random_device
+from undrift.sim.device.presets import preset
 from undrift.sim.device.truth import true_calibration, true_tables
 from undrift.sim.motion.bench import BenchSettings
-from undrift.sim.sessions import simulate_session
 from undrift.sim.thermal import (
     ChamberSettings,
     ThermalChamber,
@@ -168,15 +167,3 @@ def test_labels_lie_right_on_the_samples_of_a_device_with_a_clock_of_its_own() -
 def test_an_impossible_thermal_session_is_refused(make: Callable[[], object], message: str) -> None:
     with pytest.raises(InputError, match=message):
         make()
-
-
-def test_a_session_without_labels_keeps_its_readings() -> None:
-    device = random_device(np.random.default_rng(1))
-    settings = BenchSettings(still_s=1.0)
-    labelled, bare = (
-        simulate_session("ferraris", device, rng=np.random.default_rng(2), settings=settings, labelled=flag)
-        for flag in (True, False)
-    )
-    assert (len(labelled.stills), len(labelled.turns)) == (12, 3)
-    assert (bare.stills, bare.turns) == ((), ())
-    np.testing.assert_array_equal(labelled.records[0].gyro, bare.records[0].gyro)

@@ -52,15 +52,6 @@ def test_pitch_is_the_one_that_correct_and_orient_return():
     assert pitch_errors_deg(case, calibration, "rest")[0] == pytest.approx(np.sqrt(np.nanmean(error**2)), abs=1e-9)
 
 
-def test_a_wrong_offset_grows_with_time_unless_the_rest_is_subtracted():
-    calibration = true_calibration(DEVICE, temp_c=25.0)
-    off = 1.0 * np.pi / 180.0 / calibration.gyro.si_per_reading("rate")
-    wrong = replace(calibration, gyro=replace(calibration.gyro, offset=calibration.gyro.offset + off))
-    case = case_of(DEVICE)
-    assert pitch_errors_deg(case, wrong, "none")[0] > 0.5
-    assert pitch_errors_deg(case, wrong, "rest")[0] < 0.15
-
-
 def test_the_delay_is_that_of_the_filter_minus_half_a_sample():
     share = np.median(DEVICE.gyro.low_pass.cutoff_hz) / DEVICE.gyro.low_pass.cutoff_hz[1]  # tolerance of the parts
     for cutoff_hz in (5.0, 20.0):

@@ -16,7 +16,7 @@ from undrift.io.store import read_calibration, write_calibration
 from undrift.model import DriftTables, StaticDrift
 from undrift.record import Record
 
-PROGRESS = re.compile(r"^undrift \w+(?: \w+)?: .+, \d+ s so far, .+\n", re.MULTILINE)  # of a slow machine
+PROGRESS = re.compile(r"^undrift \w+(?: \w+)?: .+, \d+ s so far.*\n", re.MULTILINE)  # of a slow machine
 
 
 @dataclass(frozen=True)
@@ -105,20 +105,10 @@ def at_rest(folder: Path, path: Path, *, seconds: float = 120.0, seed: int = 1) 
     return record
 
 
-def beyond_the_table(bench, folder):
-    """A calibration whose table ends below the temperatures of a trial, and that trial."""
+def warm_between(bench, folder, start_s, stop_s):
+    """The trial with a stretch beyond a table of the gyroscopes, and its calibration: gaps under nan."""
     c, raw = read_calibration(bench / "calibration.json"), read_record(bench / "trial.parquet")
     static = StaticDrift(temp_c=[20.0, 30.0], gyro_offset=np.tile(c.gyro.offset, (2, 1)))
-    write_calibration(replace(c, drift=DriftTables(static=static)), folder / "c.json")
-    write_record(replace(raw, temp_c=np.full(len(raw), 31.0)), folder / "warm.parquet")
-    return [folder / "warm.parquet", "--calibration", folder / "c.json"]
-
-
-def warm_between(bench, folder, start_s, stop_s, *, accel=False):
-    """The trial with a stretch beyond a table of the gyroscopes, of both where asked, and its calibration: gaps under nan."""
-    c, raw = read_calibration(bench / "calibration.json"), read_record(bench / "trial.parquet")
-    offsets = np.tile(c.accel.offset, (2, 1)) if accel else None
-    static = StaticDrift(temp_c=[20.0, 30.0], gyro_offset=np.tile(c.gyro.offset, (2, 1)), accel_offset=offsets)
     write_calibration(replace(c, drift=DriftTables(static=static)), folder / "c.json")
     warm = (raw.time >= start_s) & (raw.time < stop_s)
     write_record(replace(raw, temp_c=np.where(warm, 31.0, 25.0)), folder / "warm.parquet")

@@ -80,14 +80,6 @@ def test_what_is_captured_is_written_at_once_with_the_gravity_of_the_place(bench
     assert guided.error == ""
 
 
-@pytest.mark.slow
-def test_without_a_place_no_gravity_is_written_into_the_session(bench, feed):
-    guided = begun(bench, feed)
-    step(guided, feed, 12.0)
-    assert "gravity" not in (guided.item.path / "session.toml").read_text()
-    assert read_session(guided.item.path).gravity_source == "standard"
-
-
 def test_a_folder_that_cannot_be_written_is_said_and_tried_again(bench, feed):
     guided = begun(bench, feed)
     guided.item.path.write_text("in the way")

@@ -73,11 +73,3 @@ def test_every_light_has_a_shape_of_its_own_and_is_green_only_where_all_is_well(
     ]
     assert all(parsed(svg).get("aria-hidden") == "true" for svg in shapes.values())
     assert len({re.sub(r"var\([^)]*\)", "", svg) for svg in shapes.values()}) == len(shapes)
-
-
-@pytest.mark.slow
-def test_the_ring_closes_and_shows_whole_seconds(draw):
-    gone = [float(re.search(r'stroke-dasharray="([\d.]+)', draw("ring", left, 6.0))[1]) for left in (6.0, 3.0, 0.0)]
-    assert gone == pytest.approx([0.0, 125.7, 251.3], abs=0.1)
-    assert parsed(draw("ring", 2.1, 6.0)).find(f"{SVG}text").text == "3"
-    assert parsed(draw("ring", None, 6.0)).find(f"{SVG}text") is None

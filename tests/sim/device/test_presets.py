@@ -101,15 +101,6 @@ def test_the_prior_of_a_part_is_the_scatter_of_its_units_over_temperature(name: 
     assert prior.thermometer_lag_s == grade_of(name).thermometer.lag_s
 
 
-def test_a_wider_tolerance_of_one_property_leaves_the_others_as_they_were() -> None:
-    grade = grade_of("consumer")
-    wide = replace(grade, gyro=replace(grade.gyro, misalignment_sd=0.1))
-    one, two = (random_device(np.random.default_rng(7), grade=g) for g in (grade, wide))
-    np.testing.assert_array_equal(one.gyro.raw_offset, two.gyro.raw_offset)
-    np.testing.assert_array_equal(one.accel.scale.axes, two.accel.scale.axes)
-    assert not np.array_equal(one.gyro.scale.axes, two.gyro.scale.axes)
-
-
 def test_devices_that_differ_have_different_serial_numbers():
     """The same seed draws the same unit of a kind, and another serial of another kind."""
     kinds = [random_device(np.random.default_rng(0), grade=name).serial for name in (*PRESETS, *GRADES)]
