@@ -1,13 +1,12 @@
 """A regular clock comes back from stamps of a host: rate, offset, and what is missing, with a counter or without."""
 
-from dataclasses import replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
 from testkit.column_maps import column_map
 from testkit.data import data_path, show
-from testkit.host import HostSettings, HostStamped, stamp_on_host
 from undrift.errors import InputError
 from undrift.io.clock import fit_clock, host_stamps, unwrapped
 from undrift.io.column_map import ColumnMap
@@ -23,9 +22,36 @@ def record(samples: int = 12_000, start_s: float = 5.0) -> Record:
     return Record(time=start_s + np.arange(samples) / RATE, accel=accel, accel_unit="g")
 
 
-def stamped(seed: int, **settings: object) -> HostStamped:
-    chosen = replace(HostSettings(), **settings)  # type: ignore[arg-type]
-    return stamp_on_host(record(), rng=np.random.default_rng(seed), settings=chosen)
+@dataclass(frozen=True)
+class Stamped:
+    """What a host has of a recording."""
+
+    record: Record  # the readings that came, with the host's stamps
+    kept: np.ndarray  # (M,), which samples of the recording came
+    counter: np.ndarray  # (M,), the device's own counter of 8 bits
+
+
+def stamped(seed: int, *, stall_share: float = 0.005, lost_share: float = 0.004, outages: int = 3) -> Stamped:
+    """Return a recording as a host writes it that stamps readings on arrival: in bursts of 20 to 70 ms, late, and some never.
+
+    Readings of one burst are written a millisecond apart, by a clock that is faster than the device's.
+    """
+    rng, own = np.random.default_rng(seed), np.arange(12_000) / RATE
+    sent = np.cumsum(rng.uniform(0.02, 0.07, 6000))
+    sent = sent[: int(np.searchsorted(sent, own[-1])) + 1]
+    late = np.where(rng.random(len(sent)) < stall_share, rng.uniform(0.1, 0.6, len(sent)), 0.0)
+    came = np.maximum.accumulate(sent + late + rng.exponential(0.0015, len(sent)))
+    lost = rng.random(len(sent)) < lost_share
+    starts, lengths = rng.uniform(0.1 * own[-1], 0.9 * own[-1], outages), rng.uniform(0.3, 2.0, outages)
+    for start, length in zip(starts, lengths, strict=True):
+        lost |= (sent >= start) & (sent < start + length)
+    burst = np.searchsorted(sent, own)  # of each sample
+    kept = np.flatnonzero(~lost[burst])
+    ticks, order = np.ceil(came[burst[kept]] / 0.001), np.arange(len(kept))
+    written = (np.maximum.accumulate(ticks - order) + order) * 0.001
+    whole = record()
+    held = Record(time=whole.time[0] + written * (1.0 + SLOW), accel=whole.accel[kept], accel_unit="g")
+    return Stamped(record=held, kept=kept, counter=kept % 256)
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -35,7 +35,6 @@ class Card:
         self.moving = 0
         self.refused: dict[str, int] = {}
         self.code = 0
-        self.arrives = True
 
     def spoil(self, command: str, *answers: bytes | None) -> None:
         """Answer the next times that a command begins so with these bytes instead."""
@@ -85,7 +84,7 @@ class Card:
             self.held["MO"] = "1"
         elif command == "BGX":
             self.moving = self.polls
-            if "PR" in self.held and self.arrives:
+            if "PR" in self.held:
                 self.held["TP"] = str(int(self.held["TP"]) + int(self.held["PR"]))
         elif command in ("STX", "AB"):
             self.moving = 0

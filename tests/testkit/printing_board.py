@@ -37,10 +37,10 @@ class PrintingBoard:
     With patience it waits for a busy computer. Real boards lose data that the line cannot buffer.
     """
 
-    def __init__(self, baud: int | None = None, patience_s: float = 0.0) -> None:
+    def __init__(self, patience_s: float = 0.0) -> None:
         self._near, self._far = open_pseudo_terminal()
         os.set_blocking(self._near, False)
-        self.port, self._baud, self.silent = os.ttyname(self._far), baud, False
+        self.port = os.ttyname(self._far)
         self._end, self._lock, self._patience_s = threading.Event(), threading.Lock(), patience_s
         self._thread: threading.Thread | None = None
 
@@ -54,15 +54,9 @@ class PrintingBoard:
         self.unplug()
 
     def write(self, data: bytes) -> None:
-        """Print data. It is garbled if the other side reads at another baud rate, and lost if nobody reads within its
-        patience.
-        """
+        """Print data. It is lost if nobody reads within the board's patience."""
         with self._lock, contextlib.suppress(BlockingIOError):
-            if self._near < 0 or self.silent:
-                return
-            if self._baud is not None and baud_of(self._near) != self._baud:
-                data = bytes((byte * 37 + 128) & 0xFF | 0x80 for byte in data)
-            while data and select.select([], [self._near], [], self._patience_s)[1]:
+            while self._near >= 0 and data and select.select([], [self._near], [], self._patience_s)[1]:
                 data = data[os.write(self._near, data) :]
 
     def print_lines(self, line: Callable[[int], bytes] = resting_line, rate: float = 100.0) -> "PrintingBoard":
@@ -86,12 +80,3 @@ class PrintingBoard:
                 os.close(self._near)
                 os.close(self._far)
                 self._near = -1
-
-
-def baud_of(terminal: int) -> int:
-    """Return the baud rate that the other side of a pseudo-terminal has set."""
-    import termios
-
-    code = termios.tcgetattr(terminal)[5]
-    rates = (9600, 38400, 57600, 115200, 230400, 460800, 921600)
-    return next((baud for baud in rates if getattr(termios, f"B{baud}") == code), 0)

@@ -174,8 +174,6 @@ def run(
     return result, hands
 
 
-
-
 def at_rest(bench, within_s=60.0):
     """Wait until the true axis is at rest with its motor off. Return False if this never happens."""
     return bench.clock.until(lambda: abs(bench.turn_rate()) <= 1e-3 and not bench.servo.powered, within_s, 0.1) is True

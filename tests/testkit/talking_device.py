@@ -1,12 +1,9 @@
-"""A device for tests that sends at its rate after the first connection, falls silent, hangs up, and returns on the same
-port.
-"""
+"""A device for tests that sends at its rate after the first connection, and falls silent when it is told to."""
 
 import contextlib
 import socket
 import threading
 import time
-from collections.abc import Callable
 
 CHANNELS = "count,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z,temp"
 
@@ -19,10 +16,8 @@ def resting(k: int) -> str:
 class TalkingDevice:
     """Device that sends numbered lines to all listeners, as a context manager."""
 
-    def __init__(self, rate: float = 200.0, numbers: Callable[[int], str] = resting) -> None:
-        self.rate, self.numbers = rate, numbers
-        self.silent = False
-        self.leave_out: Callable[[int], bool] = lambda k: False
+    def __init__(self, rate: float = 200.0) -> None:
+        self.rate, self.silent = rate, False
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.port: int = self._listener.getsockname()[1]
         self._clients: list[socket.socket] = []
@@ -37,11 +32,6 @@ class TalkingDevice:
         options = f"channels={CHANNELS}&rate={self.rate:g}&gyro_unit=dps&accel_unit=m/s2&device=talker"
         return f"tcp://127.0.0.1:{self.port}?{options}"
 
-    def hang_up(self) -> None:
-        """Drop all that listen."""
-        while self._clients:
-            self._clients.pop().close()
-
     def __enter__(self) -> "TalkingDevice":
         return self
 
@@ -51,7 +41,8 @@ class TalkingDevice:
             self._listener.shutdown(socket.SHUT_RDWR)
         for thread in self._threads:
             thread.join(10)
-        self.hang_up()
+        for client in self._clients:
+            client.close()
         self._listener.close()
 
     def _accept(self) -> None:
@@ -66,8 +57,7 @@ class TalkingDevice:
         while not self._end.wait(0.01):
             lines = []
             while k < (time.monotonic() - start) * self.rate:
-                if not self.leave_out(k):
-                    lines.append(f"{k},{self.numbers(k)}\n")
+                lines.append(f"{k},{resting(k)}\n")
                 k += 1
             for client in [] if self.silent else list(self._clients):
                 with contextlib.suppress(OSError):

@@ -87,7 +87,7 @@ def walk(rng, place="lower-back", *, stand_s=4.0, walk_s=9.0, bouts=4, q_ab=(1.0
         (np.cumsum(speed * np.cos(course)), np.cumsum(speed * np.sin(course)), np.zeros_like(t)), axis=1
     ) / (rate * fine)
     position += np.stack((-side * np.sin(course), side * np.cos(course), -height * np.cos(2.0 * phase)), axis=1)
-    return _record(t, (roll, pitch, yaw), position, rng, q_ab, fine, rate)
+    return _record(t, (roll, pitch, yaw), position, rng, q_ab, fine)
 
 
 def _smoothed(x, width):
@@ -103,11 +103,8 @@ def orientation(roll, pitch, yaw):
     )
 
 
-def _record(t, angles, position, rng, q_ab, fine, rate, noise=(0.0015, 0.02)):
-    return _record_of(t, orientation(*angles), position, rng, q_ab, fine, noise)
-
-
-def _record_of(t, q, position, rng, q_ab, fine, noise):
+def _record(t, angles, position, rng, q_ab, fine):
+    q = orientation(*angles)
     push = np.gradient(np.gradient(position, t, axis=0), t, axis=0) + np.array([0.0, 0.0, GRAVITY])
     turn = quaternion_product(quaternion_conjugate(q[:-1]), q[1:])
     rate_a = 2.0 * turn[:, 1:] * np.sign(turn[:, :1]) / np.diff(t)[:, None]
@@ -115,11 +112,11 @@ def _record_of(t, q, position, rng, q_ab, fine, noise):
     back = quaternion_conjugate(np.asarray(q_ab))  # a to b
     gyro = rotate(back, rate_a)[::fine]
     accel = rotate(back, rotate(quaternion_conjugate(q), push))[::fine]
-    gyro = gyro + noise[0] * rng.standard_normal(gyro.shape) + rng.normal(0.0, 0.3, 3) * DEGREE
+    gyro = gyro + 0.0015 * rng.standard_normal(gyro.shape) + rng.normal(0.0, 0.3, 3) * DEGREE
     return Record(
         time=t[::fine].copy(),
         gyro=gyro,
-        accel=accel + noise[1] * rng.standard_normal(accel.shape) + rng.normal(0.0, 0.02, 3),
+        accel=accel + 0.02 * rng.standard_normal(accel.shape) + rng.normal(0.0, 0.02, 3),
     )
 
 
