@@ -20,7 +20,6 @@ from undrift.programme import (
     settle_time,
     write_protocol,
 )
-from undrift.rig.folder import protocol_digest
 from undrift.rig.rig import Limits, check_programme
 
 DPS = math.pi / 180.0
@@ -209,11 +208,3 @@ def test_what_is_wrong_is_named(tmp_path: Path, text: str, told: str) -> None:
     (tmp_path / "p.toml").write_text(text)
     with pytest.raises(FileFormatError, match=told):
         read_protocol(tmp_path / "p.toml")
-
-
-def test_new_keys_are_written_if_stated(tmp_path: Path) -> None:
-    write_protocol(Protocol(), tmp_path / "p.toml")
-    assert "damping" not in (text := (tmp_path / "p.toml").read_text())
-    assert "at =" not in text
-    changed = {protocol_digest(Protocol(faces_at="room")), protocol_digest(Protocol(damping=0.8))}
-    assert len(changed | {protocol_digest(Protocol())}) == 3

@@ -86,13 +86,6 @@ def test_rests_of_a_log_with_two_decimals_are_found():
     assert count(2) == count(5) == 22
 
 
-def test_a_record_that_never_moves_is_one_still_phase():
-    rng = np.random.default_rng(2)
-    record = Record(time=np.arange(6000) / FS, gyro=rng.normal(3.0, 0.5, (6000, 3)), gyro_unit="count")
-    search = find_still(record)
-    assert [(s.start, s.stop) for s in search.stills] == [(0, 6000)]
-
-
 def test_a_threshold_in_noise_floors_is_used():
     record = poses(np.random.default_rng(3), [(1, 0, 0), (0, 1, 0)])
     search = find_still(record, StillSettings(threshold_floors=6.0))

@@ -3,7 +3,7 @@
 Captures: repository nimblephysics, snapshot of 2025-09-14; the adults are taken for young and healthy, as of a laboratory's
 validation set (inferred). Stance: BMClab/datasets, CC BY 4.0, snapshot of 2023-09-26: Santos and Duarte 2016 (BDS, 37 years) and
 dos Santos et al. 2017 (PDS, 71 years), neither with illness, disability or falls. No recording of impaired people or of
-Parkinson's disease is at hand. The noise of the young stance was set by the median frequency of BDS, which is no test of it.
+Parkinson's disease is at hand.
 Acceleration is not in order of the categories (young 57, elderly 50, the note's 54, impaired 66 mm/s2): the others' noise is slow.
 
 The library stands with eyes closed on foam. Of that condition the data's note states five figures of the older person; the enclosed
@@ -162,22 +162,15 @@ def _figures_of(performed: Task | PoseSpline, time: FloatArray, *, whole: bool) 
 # ---- quiet stance on a force plate
 
 PATH_HZ = 10.0  # the path of the centre of pressure is taken at this rate: the plate's noise adds none
-BAND_HZ = (0.05, 2.5)  # below, 50 s are too short, and above, the library has no power
 EDGE_S = 2.5  # of the simulated stance, in which sway builds up
 STANCE_S = 45.0  # of both, so that slow drift counts alike
 MEASURES = (
     ("centre of pressure AP, rms", "mm"),
     ("centre of pressure ML, rms", "mm"),
-    ("centre of pressure AP, range", "mm"),
-    ("centre of pressure ML, range", "mm"),
     ("speed of the centre of pressure", "mm/s"),
-    ("mean frequency AP", "Hz"),
-    ("mean frequency ML", "Hz"),
     ("acceleration AP, rms", "mm/s2"),
     ("acceleration ML, rms", "mm/s2"),
     ("sway area, 95 % ellipse", "mm2"),
-    ("median frequency AP", "Hz"),
-    ("median frequency ML", "Hz"),
 )
 ELLIPSE_95 = 5.991  # chi square of two degrees of freedom
 COLUMNS = {
@@ -218,7 +211,7 @@ def sway_rows(stance: Stance, category: CategoryName) -> list[CohortComparison]:
 
 
 def sway_figures(stance: Stance) -> FloatArray:
-    """Measure a stance, (12,)."""
+    """Measure a stance, (6,)."""
     count = round(STANCE_S * SAMPLE_RATE_HZ)
     spare = len(stance.time) - count
     if spare < 0:
@@ -228,18 +221,8 @@ def sway_figures(stance: Stance) -> FloatArray:
     acceleration = 1e3 * (stance.acceleration[middle] - stance.acceleration[middle].mean(axis=0))
     coarse = pressure[:: round(SAMPLE_RATE_HZ / PATH_HZ)]
     speed = float(np.linalg.norm(np.diff(coarse, axis=0), axis=1).mean()) * PATH_HZ
-    mean, median = np.array([_frequencies(column) for column in pressure.T]).T
     area = float(np.pi * ELLIPSE_95 * np.sqrt(np.linalg.det(np.cov(pressure.T))))
-    sizes = *pressure.std(axis=0), *np.ptp(pressure, axis=0), speed
-    return np.array([*sizes, *mean, *acceleration.std(axis=0), area, *median])
-
-
-def _frequencies(x: FloatArray) -> tuple[float, float]:
-    """Return the mean frequency and the median one, below which half the power is, Hz."""
-    power, frequency = np.abs(np.fft.rfft(x * np.hanning(len(x)))) ** 2, np.fft.rfftfreq(len(x), 1.0 / SAMPLE_RATE_HZ)
-    band = (frequency >= BAND_HZ[0]) & (frequency <= BAND_HZ[1])
-    below = np.cumsum(power[band]) / power[band].sum()
-    return float(power[band] @ frequency[band] / power[band].sum()), float(frequency[band][np.searchsorted(below, 0.5)])
+    return np.array([*pressure.std(axis=0), speed, *acceleration.std(axis=0), area])
 
 
 def _simulated(task: Task) -> Stance:
@@ -261,7 +244,6 @@ STATED_CF = {  # PDS13, eyes closed on foam, and open on foam: the note of the d
 CLOSED = {name: closed / opened for name, (closed, opened) in STATED_CF.items()}
 CLOSED["sway area, 95 % ellipse"] = CLOSED["centre of pressure AP, rms"] * CLOSED["centre of pressure ML, rms"]
 FILES = {"StairUp3": "markers_StairUp3"}
-UNSCALED = ("median frequency AP", "median frequency ML")
 
 
 def judged(rows: list[tuple[CohortComparison, float]], what: str) -> None:
@@ -309,12 +291,10 @@ def test_older_person_stands_as_the_elderly_category() -> None:
     rows = stood("PDS13OF1grf", 65.35, "elderly")
     pairs = [(rows[name], closed) for name, (closed, _) in STATED_CF.items()]
     area = "sway area, 95 % ellipse"
-    pairs += [(rows[area], rows[area].real * CLOSED[area]), *((rows[name], rows[name].real) for name in UNSCALED)]
-    judged(pairs, "elderly, stance")
+    judged([*pairs, (rows[area], rows[area].real * CLOSED[area])], "elderly, stance")
 
 
 @pytest.mark.slow
 def test_a_young_person_stands_as_the_young_category_does() -> None:
     rows = stood("BDS00033", 63.4, "young")
-    pairs = [(rows[name], rows[name].real * ratio) for name, ratio in CLOSED.items()]
-    judged([*pairs, *((rows[name], rows[name].real) for name in UNSCALED)], "young, stance")
+    judged([(rows[name], rows[name].real * ratio) for name, ratio in CLOSED.items()], "young, stance")

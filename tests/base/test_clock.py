@@ -57,23 +57,6 @@ def test_a_step_is_repeated_by_a_thread_until_it_is_ended_or_says_so():
     assert not any(thread.name == "steps" for thread in threading.enumerate())
 
 
-def test_what_is_due_while_someone_waits_is_done_in_order_at_its_time():
-    clock, said = VirtualClock(), []
-
-    def every(pause_s, name):
-        return lambda: said.append((name, clock.now())) or pause_s
-
-    fast = clock.repeat(every(0.5, "fast"), "fast")
-    clock.repeat(every(None, "once"), "once")
-    clock.repeat(every(0.75, "slow"), "slow")
-    clock.wait(1.0)
-    assert said == [("fast", 0.0), ("once", 0.0), ("slow", 0.0), ("fast", 0.5), ("slow", 0.75), ("fast", 1.0)]
-    fast.end()
-    clock.wait(1.0)
-    assert said[6:] == [("slow", 1.5)]
-    assert clock.now() == 2.0
-
-
 def test_on_a_paced_clock_only_waits_take_time():
     clock = PacedClock()
     clock.wait(3600.0)

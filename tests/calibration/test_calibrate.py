@@ -158,24 +158,6 @@ def test_turn_with_saturated_readings_is_left_out_by_number(kind):
         assert only(calibration.verdict.findings, "rate_table.axes_missing").values["missing"] == ("y",)
 
 
-def test_turns_that_are_all_saturated_leave_the_accelerometer():
-    session = made("ferraris")
-    for turn in session.turns:
-        session = saturated(session, (turn.start + turn.stop) // 2)
-    calibration = calibrate(session)
-    assert (calibration.accel.method, calibration.gyro) == ("six-face/affine", None)
-    assert only(calibration.verdict.findings, "session.saturated").values["count"] == 3
-
-
-@pytest.mark.parametrize("kind", ["ferraris", "bench"])
-def test_five_faces_and_turns_calibrate_both_sensors(kind):
-    session = made(kind)
-    without = replace(session, stills=tuple(still for still in session.stills if still.face != "-y"))
-    calibration = calibrate(without)
-    assert calibration.accel.method == "six-face/affine"
-    assert calibration.gyro.method == {"ferraris": "known-rotation/affine", "bench": "rate-table/affine"}[kind]
-
-
 def test_face_that_was_not_recorded_is_named():
     session = made("ferraris", labelled=False)
     (still,) = (still for still in made("ferraris").stills if still.face == "-y")

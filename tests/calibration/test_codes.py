@@ -8,7 +8,6 @@ import pytest
 from testkit.data import data_path, show
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.codes import (
-    _swept_codes,
     code_grid,
     code_variance,
     identify_adc,
@@ -153,13 +152,6 @@ def test_coarse_converter_is_named_by_every_fit_to_rests(kind, methods, triads):
     finding = {word for text in result[10] for word in text.split(" and ")}
     assert finding == triads
     assert result[16] == []
-
-
-def test_gap_in_a_rest_is_no_sweep_through_the_codes() -> None:
-    rest = np.random.default_rng(4).integers(-2, 3, 400).astype(float)
-    assert _swept_codes(rest, 1.0).sum() == 0.0
-    rest[100:110] = np.nan
-    assert _swept_codes(rest, 1.0).sum() == 0.0
 
 
 @pytest.mark.parametrize(("noise", "spread"), [(0.0, 0.0), (0.0, 0.2), (0.2, 0.0), (0.3, 0.1)])

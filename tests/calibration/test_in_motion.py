@@ -1,6 +1,5 @@
 """Both triads from motion alone: intervals hold on simulated hands, what the motion hides is named, real devices are told right."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -172,21 +171,6 @@ def about_y() -> Record:
 def test_recordings_that_motion_cannot_use_are_refused(change, error, words) -> None:
     with pytest.raises(error, match=words):
         calibrate_from_motion([change(handled(70, 1)[0][0])])
-
-
-@needs_data
-@pytest.mark.parametrize(
-    ("mistake", "words"),
-    [
-        (lambda r: replace(r, gyro=np.asarray(r.gyro)[:, [1, 0, 2]]), "are exchanged"),
-        (lambda r: replace(r, gyro=-np.asarray(r.gyro)), "sign"),
-        (lambda r: replace(r, time=2.0 * np.asarray(r.time)), "time"),
-        (lambda r: replace(r, accel=np.asarray(r.accel) / STANDARD_GRAVITY), "expected gravity"),
-    ],
-)
-def test_mistaken_columns_are_named_before_a_fit(mistake: Callable[[Record], Record], words: str) -> None:
-    with pytest.raises(Implausible, match=words):
-        calibrate_from_motion([mistake(pairs("chain")[0][0])])
 
 
 def test_gap_in_the_rates_is_refused() -> None:

@@ -1,7 +1,6 @@
 """Known rotation: exact on made sums, reversed turns named, what is missing named."""
 
 from dataclasses import replace
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ from testkit.findings import codes, only
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.known_rotation import (
     RotationRows,
-    _combine_with_moves,
     calibrate_turns,
     fit_known_rotation,
     rotation_rows,
@@ -20,8 +18,7 @@ from undrift.calibration.plausibility import axis_vectors, face_vectors
 from undrift.calibration.session import observe
 from undrift.calibration.settings import CalibrateSettings
 from undrift.calibration.six_face import calibrate_faces
-from undrift.errors import Implausible, InputError, NotObservable, PoorFit
-from undrift.fit.triad import TriadParameters
+from undrift.errors import Implausible, InputError, NotObservable
 from undrift.record import FACES, Record, Still, Turn
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration
@@ -246,19 +243,6 @@ def test_an_angle_beyond_its_uncertainty_is_named_by_the_moves():
     fit = gyro_by_hand(plain(random_device(rng)), rng, angle_uncertainty_deg=0.05, axis_uncertainty_deg=0.02)
     assert "differ by" in only(fit.verdict.findings, "known_rotation.moves_disagree").sentence
     assert fit.verdict.status == "marginal"
-
-
-def test_moves_that_contradict_the_turns_are_a_warning():
-    fitted = TriadParameters(np.eye(21)[0], np.eye(21), {})
-    assert (
-        _combine_with_moves(fitted, np.zeros((21, 3)), Mock(side_effect=NotObservable("no move between rests")))[1]
-        == []
-    )
-    (finding,) = _combine_with_moves(
-        fitted, np.zeros((21, 3)), Mock(side_effect=PoorFit("moves miss gravity by 30 deg"))
-    )[1]
-    assert (finding.code, finding.level) == ("known_rotation.moves_disagree", "warn")
-    assert "30 deg" in finding.text
 
 
 def test_gyroscopes_alone_have_their_scale_from_three_turns():

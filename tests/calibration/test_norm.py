@@ -6,7 +6,6 @@ import pytest
 from testkit.findings import only
 from testkit.poses import fit_poses
 from undrift.calibration.norm import QUADRATIC_SD, _linearised, fit_norm
-from undrift.calibration.sources import Creep
 from undrift.errors import Implausible, NotObservable, PoorFit
 
 G = 9.81
@@ -48,14 +47,6 @@ def test_known_noise_gives_honest_intervals_at_the_bound() -> None:
     assert 0.93 < covered < 0.975  # 2,700 intervals, correlated within a device: 1 % is two standard deviations
     # the stated covariance may exceed the bound by the excess variance that a lucky set of residuals feigns, 10 % at most
     assert 0.88 < float(np.sqrt(np.mean(np.square(scaled)))) < 1.03
-
-
-def test_fit_converges_with_excess_and_temperature() -> None:
-    creep = Creep(warmth=np.linspace(-0.5, 0.5, 18), offset_per_k=5e-3, scale_per_k=2e-4)
-    for seed in (107, 110, 163, 216):  # whole steps of the excess oscillate here
-        rng, n = np.random.default_rng(seed), directions(18, seed)
-        raw = readings(n) + (rng.normal(size=(18, 3)) + creep.warmth[:, None] * rng.normal(0.0, 2.0, 3))
-        fit_norm(raw, gravity=G, variances=np.full((18, 3), 0.7), creep=creep)
 
 
 def test_poses_that_moved_get_a_bad_verdict_with_the_figure() -> None:

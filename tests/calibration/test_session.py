@@ -21,7 +21,7 @@ from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.sessions import simulate_session
 from undrift.sim.thermal import ThermalSettings, simulate_thermal_session
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+from undrift.units import STANDARD_GRAVITY
 
 # ---- What a session contains: the mean rate of its rests, and the pieces of one temperature
 
@@ -205,13 +205,6 @@ def test_a_span_above_the_limit_is_a_finding() -> None:
     assert result.values["span_k"] == pytest.approx(3.6, rel=1e-3)
     wide = replace(seen, session=replace(seen.session, sensitivity=TemperatureSensitivity(span_limit_k=4.0)))
     assert creep_of(wide, seen.stills, "accel").findings() == ()
-
-
-def test_a_session_states_the_sensitivity() -> None:
-    stated = TemperatureSensitivity(accel_offset_mg_per_k=0.1, gyro_offset_dps_per_k=0.01)
-    seen = seen_of(np.linspace(24.0, 25.0, N))
-    seen = replace(seen, session=replace(seen.session, sensitivity=stated))
-    assert creep_of(seen, seen.stills, "gyro").offset_per_k == pytest.approx(0.01 * RADIAN_PER_DEGREE)
 
 
 # ---- flicker: its covariance is that of exponential correlations, and rests that flicker show its size

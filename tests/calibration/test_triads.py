@@ -116,19 +116,3 @@ def test_reversed_column_is_refused(sensor, axis):
     name = {"gyro": "gyroscope", "accel": "accelerometer"}[sensor]
     with pytest.raises(Implausible, match=f"{name} column {'xyz'[axis]}"):
         check_triads(with_column(sensor, axis, -1.0))
-
-
-@pytest.mark.parametrize(
-    ("column", "factor", "words"),
-    [
-        ("gyro", 180.0 / np.pi, "in deg/s"),
-        ("gyro", np.pi / 180.0, "in rad/s"),
-        ("time", 1e3, "in milliseconds"),
-        ("time", 1e6, "in microseconds"),
-        ("time", 1e9, "in nanoseconds"),
-    ],
-)
-def test_wrong_unit_is_refused_by_name(column, factor, words):
-    record = turned_by_hand()
-    with pytest.raises(Implausible, match=words):
-        check_triads(replace(record, **{column: getattr(record, column) * factor}))

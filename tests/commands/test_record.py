@@ -173,21 +173,3 @@ def test_from_a_port_to_a_verdict(tmp_path, held, monkeypatch):
     true = true_calibration(operator.hands.device, temp_c=25.0)
     for found, wanted in ((calibration.accel, true.accel), (calibration.gyro, true.gyro)):
         np.testing.assert_allclose(np.diag(found.matrix), np.diag(wanted.matrix), rtol=0.01)
-
-
-def test_a_guide_that_is_left_keeps_the_recording_and_says_so(tmp_path, held, monkeypatch):
-    board, operator = held
-    stop = iter([None] * 12)
-
-    def sleep(seconds: float) -> None:
-        if next(stop, "over") == "over":
-            raise KeyboardInterrupt
-        time.sleep(seconds)
-
-    clock = type("Clock", (), {"sleep": sleep, "monotonic": time.monotonic})
-    monkeypatch.setattr(sys.modules["undrift.commands.record"], "time", clock)
-    with showing_on(operator):
-        made = recording(f"{board.port}?clock_speed={HELD_SPEED:g}", output=tmp_path / "b.csv", guide="six-faces")
-    assert made.data["ended"] == "stopped"
-    assert re.fullmatch(r"The guide was left at \d of 6 faces. Nothing was calibrated.", made.notes[-1])
-    assert {one.name for one in tmp_path.iterdir()} == {"b.csv", "b.csv.json"}

@@ -57,13 +57,6 @@ def test_warm_up_is_subtracted_until_it_is_over(drift, adc, since):
     assert got.gyro[settled].tobytes() == corrected(r, c).gyro[settled].tobytes()
 
 
-def test_a_warm_up_is_converted_with_the_readings():
-    c = warming(unit="si")
-    r = record(unit="si", temp_c=None)
-    si, dps = corrected(r, c, power_on_s=0.1), corrected(r.in_units("dps", "g"), c, power_on_s=0.1)
-    np.testing.assert_allclose(dps.gyro, si.gyro, rtol=0, atol=1e-12)  # rad/s of warm-ups near 40
-
-
 def test_no_warm_up_is_subtracted_without_power_on():
     c, r = warming(tables()), record()
     done = correct_checked(r, c)
@@ -92,14 +85,6 @@ def test_tables_are_read_at_the_temperature_without_lag():
     assert got.gyro.tobytes() == wanted.gyro.tobytes()
     assert got.accel.tobytes() == wanted.accel.tobytes()
     assert got.temp_c.tobytes() == r.temp_c.tobytes()
-
-
-def test_gap_in_temperature_stays_a_gap_with_a_lag():
-    r = ramp()
-    temp = r.temp_c.copy()
-    temp[[0, 7, 8, 100]] = np.nan
-    done = correct_checked(replace(r, temp_c=temp), device(drift=lagging(tables())), policy="hold")
-    assert np.flatnonzero(np.isnan(done.record.gyro).any(axis=1)).tolist() == [0, 7, 8, 100]
 
 
 def test_range_is_that_of_the_temperature_without_lag():

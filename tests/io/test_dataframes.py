@@ -85,15 +85,6 @@ def test_dates_in_the_index_are_the_clock(index):
     np.testing.assert_allclose(record.time, np.arange(N) * 0.02, atol=1e-12)
 
 
-def test_missing_values_of_pandas_are_gaps_where_gaps_are_kept():
-    frame = pd.DataFrame({**PLAIN, "gyro_x": pd.array([None, *range(N - 1)], dtype="Int64")})
-    with pytest.raises(InputError, match="a number in every row, got 1 empty or NaN cells"):
-        Record.from_frame(frame, units=UNITS, sample_rate_hz=10.0)
-    kept = Record.from_frame(frame, units=UNITS, sample_rate_hz=10.0, gaps="keep")
-    assert np.isnan(kept.gyro[0, 0])
-    assert kept.gyro[3, 0] == 2.0
-
-
 def test_without_pandas_a_frame_is_refused_and_the_rest_works(monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     record = Record.from_arrays(gyro=np.zeros((3, 3)), gyro_unit="dps", sample_rate_hz=10.0)

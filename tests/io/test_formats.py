@@ -260,17 +260,3 @@ def test_a_format_of_another_package_is_read_and_described(site, tmp_path):
     assert [len(part) for part in iter_record(tmp_path / "a.log", rows=200)] == [200, 100]
     found = describe(tmp_path / "a.log")
     assert (found.kind, found.format, found.rows, found.units[1]) == ("recording", "logger", 300, ("gyro", "dps"))
-
-
-def test_a_format_of_another_package_never_replaces_one_of_undrift(site, tmp_path):
-    install(site, POINTS)
-    (tmp_path / "r.csv").write_text("time_s,gyro_x_dps,gyro_y_dps,gyro_z_dps\n0,1,2,3\n1,1,2,3\n")
-    assert detect(tmp_path / "r.csv") == "csv"
-    assert undrift.read_record(tmp_path / "r.csv").device == ""
-
-
-def test_an_entry_point_that_is_no_format_is_skipped_with_a_warning(site, tmp_path):
-    install(site, "[undrift.formats]\nbroken = their_logger:NO_FORMAT\n")
-    (tmp_path / "a.log").write_text("a\n")
-    with pytest.warns(UserWarning, match="the format broken of another package is not used"):
-        assert detect(tmp_path / "a.log") == "text"

@@ -185,14 +185,6 @@ def test_each_symptom_is_one_finding(change, code, values):
         assert found.values[name] == (value if isinstance(value, str) else pytest.approx(value, rel=0.02))
 
 
-def test_rows_left_out_are_counted():
-    found = describe_record(ReadResult(record=sound(), dropped_rows=4, repaired_rows=2))
-    assert [(item.code, item.values["count"]) for item in found.findings] == [
-        ("recording.rows_left_out", 4),
-        ("recording.rows_left_out", 2),
-    ]
-
-
 def test_gaps_are_counted_by_sample():
     gyro = np.array(sound().gyro)
     gyro[[3, 7]] = np.nan

@@ -104,12 +104,6 @@ def test_several_sensors_in_one_table_ask_for_one_and_share_no_channel(tmp_path)
     )
 
 
-def test_a_unit_row_over_a_table_that_lacks_units_is_passed_over_by_the_proposed_map(tmp_path):
-    path = put(tmp_path, "t,ax,ay,az\n,m/s^2,,\n" + "".join(f"{k / 50},0,0,9.8\n" for k in range(9)))
-    found = describe(path)
-    assert "drop_bad_rows = true  # the row of units" in found.example
-
-
 # ---- what is proposed for a table that states too little
 
 PROPOSED = [

@@ -2,7 +2,6 @@
 
 import gzip
 import json
-from contextvars import copy_context
 
 import numpy as np
 import pytest
@@ -10,7 +9,6 @@ import pytest
 from testkit.column_maps import column_map
 from testkit.strategies import assert_same, one_line
 from undrift.errors import FileFormatError, InputError
-from undrift.files import WATCH
 from undrift.io import text
 from undrift.io.column_map import READ_SETTINGS, ChannelScale, TextLayout
 from undrift.io.columns import ReadResult, build_record
@@ -81,16 +79,6 @@ def test_a_bad_row_of_a_later_piece_is_named_by_its_place(tmp_path, pieces, bad)
     with pytest.raises(FileFormatError, match="in data row 31 "):
         read_text(path, XYZ)
     assert read_text(path, XYZ.but(drop_bad_rows=True)).dropped_rows == 1
-
-
-def test_a_text_tells_how_far_it_is_read(tmp_path, pieces):
-    path, heard = put(tmp_path, table(rows(40))), []
-    copy_context().run(lambda: (WATCH.set(lambda *so_far: heard.append(so_far)), read_text(path, XYZ)))
-    shares = [share for _, share in heard]
-    assert {one for one, _ in heard} == {path}
-    assert len(shares) > 10
-    assert shares == sorted(shares)
-    assert shares[-1] == 1.0
 
 
 CORRECTED = Record(time=[0.0, 1.0], gyro=np.zeros((2, 3)), state="corrected", frame="b", device="A;\n1")

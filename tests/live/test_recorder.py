@@ -1,8 +1,6 @@
 """Dwells: no reading that the device took before the start enters, however late it comes. All times are scripted."""
 
-import binascii
 import queue
-import time
 from concurrent.futures import ThreadPoolExecutor, wait
 
 import numpy as np
@@ -253,38 +251,6 @@ def test_readings_since_a_device_time_are_returned():
         assert clock.until(lambda: recorder.timeline.readings == 300, 60.0), "all readings"
         assert recorder.since(0.495).gyro[:, 0].tolist() == list(range(50, 300))
         assert recorder.since(2.985) is None, "one reading is no record"
-
-
-TEN = "count,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z,mag_x,mag_y,mag_z,temp"
-
-
-@pytest.mark.slow
-def test_minute_at_two_kilohertz_and_ten_channels_has_no_loss():
-    rng = np.random.default_rng(0)
-    block = rng.integers(-250, 250, (12_000, 10))
-    rows = 120_000
-    values = np.tile(block, (10, 1))
-    body = np.zeros(rows, dtype=[("sync", "V2"), ("count", "<u4"), ("values", "<i2", 10), ("crc", "<u2")])
-    body["sync"], body["count"], body["values"] = np.void(b"\xaa\x55"), np.arange(rows), values
-    raw = body.view("u1").reshape(rows, -1)
-    body["crc"] = [binascii.crc_hqx(row, 0xFFFF) for row in raw[:, 2:26]]
-    data = body.tobytes()
-    pieces = [data[a : a + 262_144] for a in range(0, len(data), 262_144)]
-    query = f"?format=frame&pack=<I10h&checksum=crc16&rate=2000&temp_scale=0.1&channels={TEN}"
-    with Sender(pieces) as device:
-        start = time.monotonic()
-        with Recorder(source_at(f"tcp://127.0.0.1:{device.port}{query}")) as recorder:
-            while recorder.timeline.readings < rows and time.monotonic() < start + 300.0:
-                time.sleep(0.02)
-            fit = recorder.timeline.clock()
-            record = recorder.between(fit.host_time(-1.0), fit.host_time((rows - 1) / 2000.0))
-            timeline, garbled = recorder.timeline, recorder.source.errors
-    assert (timeline.readings, timeline.marker.missing, garbled) == (rows, 0, 0)
-    assert np.array_equal(record.gyro, values[:, :3])
-    assert np.array_equal(record.accel, values[:, 3:6])
-    assert np.array_equal(record.mag_ut, values[:, 6:9])
-    assert record.temp_c == pytest.approx(values[:, 9] * 0.1)
-    assert record.time == pytest.approx(np.arange(rows) / 2000.0)
 
 
 def test_times_without_readings_are_refused():

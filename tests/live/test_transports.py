@@ -126,19 +126,6 @@ def test_lsl_stamps_are_the_devices_clock():
     assert inlet.closed == 1
 
 
-def test_an_lsl_stream_of_another_width_or_that_ends_says_so():
-    inlet = FakeInlet(([[1.0, 2.0], [1.0, float("inf"), 0.0]], [7.5, 7.6]))
-    source = LslSource("lsl:imu", PLAIN, lambda: inlet)
-    with pytest.raises(LinkError, match=r"stream is closed"):
-        source.read(0.1)
-    source.open()
-    with pytest.raises(RigTimeout, match=r"got 2 samples of another width than 3"):
-        source.read(0.01)
-    inlet.pulls.append(RuntimeError("the stream has been lost"))
-    with pytest.raises(LinkError, match=r"stream is lost"):
-        source.read(0.1)
-
-
 def test_readings_come_over_lsl_on_this_computer(monkeypatch, tmp_path):
     pylsl = pytest.importorskip("pylsl")
     monkeypatch.setenv("LSLAPICFG", str(tmp_path / "lsl.cfg"))

@@ -3,18 +3,15 @@
 import xml.etree.ElementTree as ET
 
 import numpy as np
-import pytest
 
 from testkit.data import data_path
 from testkit.hand_held import Tremor, hand_held_log
-from undrift.calibration.calibrate import calibrate, calibrated
+from undrift.calibration.calibrate import calibrated
 from undrift.calibration.pieces import pieces_of
 from undrift.calibration.session import look
 from undrift.calibration.settings import CalibrateSettings
-from undrift.record import Record, Session, Still, Turn
+from undrift.record import Record, Session
 from undrift.report.figures import draw_recording, svg_of
-from undrift.sim.device.presets import random_device
-from undrift.sim.sessions import simulate_session
 
 
 def session_of(*records, **pieces):
@@ -70,20 +67,3 @@ def test_gaps_and_saturation_are_marked_with_numbers():
     _, text = drawn(session_of(record))
     for label in ("2 gaps", "saturated", "5 stills found"):
         assert label in text, label
-
-
-@pytest.mark.parametrize(
-    ("turn", "label", "why"),
-    [
-        (Turn(start=0, stop=50, axis="z", turn_rate=np.pi), "z 180 deg/s", ""),
-        (Turn(start=0, stop=50, axis="x", angle=2.0 * np.pi), "x 360 deg", "not used"),
-        (Turn(start=0, stop=50), "", "not used"),
-    ],
-)
-def test_a_stated_turn_is_labelled_by_its_rate_or_angle(turn, label, why):
-    device = random_device(np.random.default_rng(7))
-    made = calibrate(simulate_session("bench", device, rng=np.random.default_rng(8)))
-    record = Record(time=np.arange(200) / 100.0, gyro=np.zeros((200, 3)), gyro_unit=made.gyro.unit_in)
-    session = session_of(record, stills=(Still(start=60, stop=200),), turns=(turn,))
-    (piece,) = [piece for piece in pieces_of(look(session, CalibrateSettings()), made) if piece.kind == "turn"]
-    assert (piece.label, piece.why) == (label, why)

@@ -1,47 +1,26 @@
 """The Galil rig against a card that believes everything, and then answers badly."""
 
-import contextlib
 import math
 import re
 
 import pytest
 
 from testkit.cards import Card
-from testkit.scripted_server import Scripted, VirtualScripted, transcript
+from testkit.driver_bench import DriverBench
+from testkit.scripted_server import VirtualScripted, transcript
 from testkit.virtual_clock import VirtualClock
-from undrift.errors import InputError, LimitError, LinkError, RigFault, RigTimeout
+from undrift.errors import LimitError, LinkError, RigFault, RigTimeout
 from undrift.rig import galil as axis_module
-from undrift.rig.galil import GalilCard, GalilRig, open_from, wrong_switches
-from undrift.rig.rig import Limits, RigSettings, codes, in_words
+from undrift.rig.galil import GalilCard, wrong_switches
+from undrift.rig.rig import Limits, codes, in_words
 
 DEGREE = math.pi / 180.0
 SAFE = "The table was stopped and its motor switched off."
-LOST = "NOT CONFIRMED"
-
-
-class Bench:
-    """A rig on a scripted card."""
-
-    def __init__(self, card=None, **settings) -> None:
-        self.card, self.clock = card or Card(), VirtualClock()
-        self.server = VirtualScripted(self.card, self.clock)
-        self.port = GalilCard(self.server.url, reply_timeout_s=30.0, clock=self.clock)
-        self.rig = GalilRig(self.port, RigSettings(clock=self.clock, **settings))
-        self.opening = [*self.server.heard]
-        self.server.heard.clear()
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *failure):
-        with contextlib.suppress(LinkError):
-            self.rig.close()
-        self.server.close()
 
 
 @pytest.fixture
 def bench():
-    with Bench() as bench:
+    with DriverBench("galil") as bench:
         yield bench
 
 
@@ -140,7 +119,7 @@ def test_resynchronising_discards_late_answers():
 
 
 def test_opening_moves_nothing_and_sets_limits():
-    with Bench(limits=Limits(travel=math.pi)) as bench:
+    with DriverBench("galil", limits=Limits(travel=math.pi)) as bench:
         told = [line for line in bench.opening if "?" not in line and not line.startswith(("MG", "TP", "SC", "TS"))]
         assert told == ["EO 0", "ER 556", "OE 1", "AC 256000", "DC 256000", "FL 20000", "BL -20000"]
         bench.rig.close()
@@ -151,7 +130,7 @@ def test_opening_moves_nothing_and_sets_limits():
 def test_table_left_turning_is_stopped_on_opening():
     card = Card()
     card.moving = 3
-    with Bench(card) as bench:
+    with DriverBench("galil", card) as bench:
         assert "STX" in bench.opening[: bench.opening.index("ER 556")]
 
 
@@ -159,7 +138,7 @@ def test_motor_is_switched_and_asked(bench):
     bench.rig.enable(True)
     bench.rig.enable(False)
     assert bench.server.heard == ["SHX", "MG _MOX", "MG _BGX", "MOX", "MG _MOX"]
-    bench.card.spoil("SHX", b":")
+    bench.controller.spoil("SHX", b":")
     with pytest.raises(RigFault, match="did not switch on"):
         bench.rig.enable(True)
 
@@ -174,22 +153,22 @@ def test_turn_is_one_finite_move_of_rounded_numbers(bench, wanted, speed, distan
 @pytest.mark.parametrize(("word", "lost"), [("SP", r"\d$"), ("PR", r"\d$"), ("PR", "-")])
 def test_turn_starts_nothing_if_a_number_is_not_read_back(bench, word, lost):
     def poor_line(command):
-        return bench.card(re.sub(lost, "", command) if re.match(word + " -?\\d", command) else command)
+        return bench.controller(re.sub(lost, "", command) if re.match(word + " -?\\d", command) else command)
 
     bench.server._answer = poor_line
     with pytest.raises(LinkError, match=f"set {word} to"):
         bench.rig.turn_for(-1.0, 2.0)
-    assert bench.card.moving == 0
+    assert bench.controller.moving == 0
     assert "BGX" not in bench.server.heard
 
 
 def test_acceleration_is_a_multiple_of_1024_for_both_ramps(bench):
     assert bench.rig.set_acceleration(40.0) == pytest.approx(254_976 * 2 * math.pi / 40_000, rel=1e-12)
-    assert (bench.card.held["AC"], bench.card.held["DC"]) == ("254976", "254976")
+    assert (bench.controller.held["AC"], bench.controller.held["DC"]) == ("254976", "254976")
 
 
 def test_move_is_refused_while_another_runs(bench):
-    bench.card.moving = 9
+    bench.controller.moving = 9
     with pytest.raises(RigFault, match="still moves"):
         bench.rig.turn_for(1.0, 2.0)
     assert bench.server.heard == ["MG _BGX"]
@@ -198,32 +177,14 @@ def test_move_is_refused_while_another_runs(bench):
 def test_faults_are_named(bench):
     assert bench.rig.fault() is None
     bench.rig.enable(True)
-    bench.card.held.update(TS="104", SC="8")
+    bench.controller.held.update(TS="104", SC="8")
     fault = bench.rig.fault()
     for text in ("motor is off", "following error", "reverse limit switch", "stop code 8"):
         assert text in fault
 
 
-@pytest.mark.parametrize(
-    "told",
-    [
-        lambda rig: rig.turn_for(7.0, 0.4),
-        lambda rig: rig.turn_for(math.nan, 1.0),
-        lambda rig: rig.turn_for(1e-5, 1.0),
-        lambda rig: rig.turn_for(1.0, 4.0),
-        lambda rig: rig.turn_for(1.0, 0.01),
-        lambda rig: rig.set_acceleration(1e4),
-    ],
-)
-def test_command_beyond_a_limit_sends_no_byte(told):
-    with Bench(limits=Limits(travel=math.pi)) as bench:
-        with pytest.raises(LimitError):
-            told(bench.rig)
-        assert bench.server.heard == []
-
-
 def test_travel_counts_from_the_start():
-    with Bench(limits=Limits(travel=math.pi)) as bench:
+    with DriverBench("galil", limits=Limits(travel=math.pi)) as bench:
         bench.rig.turn_for(1.0, 2.0)
         bench.clock.wait(3.0)
         bench.rig.stop()
@@ -232,68 +193,11 @@ def test_travel_counts_from_the_start():
         bench.rig.turn_for(-1.0, 4.0)
 
 
-def test_refused_command_is_a_fault_with_its_code(bench):
-    bench.card.refused["BGX"] = 20
-    with pytest.raises(RigFault) as refused:
-        bench.rig.turn_for(1.0, 2.0)
-    assert refused.value.code == 20
-
-
-@pytest.mark.parametrize("bad", [None, b" 00", b"\x07gar\r\n:", b" 1\r\n 2\r\n:", b"\xe9\xff\r\n:"])
-@pytest.mark.parametrize("command", ["BGX", "PR ?"])
-def test_bad_answer_stops_the_table_and_says_so(bench, command, bad):
-    bench.card.polls = 3
-    bench.card.spoil(command, bad)
-    with pytest.raises((LinkError, RigTimeout)) as raised:
-        bench.rig.turn_for(1.0, 2.0)
-    assert str(raised.value).endswith(SAFE)
-    assert bench.server.heard[-3:] == ["MG _BGX", "MOX", "MG _MOX"]
-    assert (bench.card.held["MO"], bench.card.moving) == ("1", 0)
-
-
 def test_stop_that_does_not_stop_becomes_an_abort(bench, monkeypatch):
     monkeypatch.setattr(axis_module, "STOP_MARGIN_S", 0.0)
-    bench.card.polls = 10_000
+    bench.controller.polls = 10_000
     bench.rig.turn_for(1.0, 2.0)
-    bench.card.spoil("STX", *[b":"] * 5)
+    bench.controller.spoil("STX", *[b":"] * 5)
     with pytest.raises(RigTimeout, match=f"still moving after .* {SAFE}"):
         bench.rig.stop()
     assert "AB" in bench.server.heard
-
-
-def test_silent_card_is_told_to_stop_and_reported_unconfirmed(bench):
-    bench.server._answer = lambda command: None
-    with pytest.raises(RigTimeout, match=LOST):
-        bench.rig.turn_for(1.0, 2.0)
-    assert bench.server.heard[-4:] == ["STX", "AB", "MOX", "MOX"]
-    with pytest.raises(LinkError, match="not be brought to rest"):
-        bench.rig.turn_for(1.0, 2.0)
-    with pytest.raises(LinkError, match=LOST):
-        bench.rig.close()
-    bench.rig.close()
-
-
-def test_lost_link_is_opened_again_to_stop_the_table(bench):
-    bench.rig.enable(True)
-    bench.server.hang_up()
-    with pytest.raises(LinkError, match=SAFE):
-        bench.rig.turn_for(1.0, 2.0)
-    assert bench.card.held["MO"] == "1"
-    with pytest.raises(LinkError, match="connection was lost"):
-        bench.rig.turn_for(1.0, 2.0)
-    bench.server.refuse_from_now_on()
-    with pytest.raises(LinkError, match=LOST):
-        bench.rig.close()
-
-
-def test_position_out_of_reach_is_refused(bench):
-    bench.card.held["TP"] = "400000"
-    with pytest.raises(LinkError, match="got 400000"):
-        bench.rig.position()
-
-
-def test_device_that_is_no_card_is_not_opened():
-    with Scripted(lambda command: b"hello\r\n") as server, pytest.raises(RigTimeout, match="no answer"):
-        GalilRig(GalilCard(server.url, reply_timeout_s=0.3))
-    with pytest.raises(InputError, match=r"axis .*, got 'Q'"):
-        open_from("tcp://127.0.0.1:9", RigSettings(axis="Q"))

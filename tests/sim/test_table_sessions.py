@@ -9,21 +9,17 @@ import pytest
 from testkit.data import show
 from testkit.simulated_device import motion_of, run
 from undrift.programme import Protocol
-from undrift.record import FACES
 from undrift.sim.device.effects import WhiteNoise
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device
 from undrift.sim.kernels import add_drift
 from undrift.sim.motion.bench import BenchErrors
-from undrift.sim.motion.motion import unit_vector
 from undrift.sim.table_sessions import (
-    FACE,
     RATE,
     REST,
     BenchDraws,
     ImposedDwells,
     TableSession,
-    impose_faces,
     impose_turns,
     lay_out,
     mean_readings,
@@ -107,16 +103,6 @@ def test_a_table_off_level_turns_gravity_about_a_whole_turn_averages_out() -> No
     whole = np.isclose(once.duration_s * np.abs(once.rate), 2.0 * np.pi)
     np.testing.assert_allclose(across[whole], 0.0, atol=1e-12)
     np.testing.assert_allclose(across[SESSIONS.kind == REST], 0.01 * G * np.hypot(*draws().level), rtol=1e-9)
-
-
-def test_faces_lie_off_level_each_by_itself() -> None:
-    faces = LAID.chosen(FACE)
-    level = np.array([unit_vector(FACES[face]) for face in faces.face])
-    up = impose_faces(faces, BenchErrors(face_tilt=0.01), draws()).force_b / G
-    np.testing.assert_allclose(np.linalg.norm(up, axis=1), 1.0)
-    off = np.linalg.norm(up - level, axis=1)
-    assert len(np.unique(off.round(9))) == 6
-    assert 1e-3 < off.mean() < 0.04
 
 
 def device(name: str, seed: int = 3) -> DeviceModel:

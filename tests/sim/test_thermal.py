@@ -10,7 +10,7 @@ import pytest
 from testkit.quiet import without_noise
 from undrift.correction.correct import correct
 from undrift.errors import InputError
-from undrift.sim.device.effects import RandomWalk, Sampling, Thermometer
+from undrift.sim.device.effects import Sampling, Thermometer
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import preset
 from undrift.sim.device.truth import true_calibration, true_tables
@@ -129,21 +129,6 @@ def test_a_ramp_goes_up_and_down_and_a_warm_up_begins_at_power_on() -> None:
     lacking = (lack[0].gyro - lack[1].gyro)[:, 0] / young.gyro.gain  # type: ignore[operator,index]
     expected = -young.gyro.warm_up.amplitude[0] * np.exp(-lack[0].time / 600.0)  # type: ignore[union-attr]
     np.testing.assert_allclose(lacking, expected, atol=1e-6)  # the low-pass lags by 20 ms of 600 s
-
-
-@pytest.mark.slow
-def test_a_random_walk_goes_on_while_nothing_is_recorded() -> None:
-    device = settled()
-    walk = RandomWalk(bias_walk=np.full(3, 1e-3))
-    walking = replace(device, gyro=replace(device.gyro, random_walk=walk))
-    settings = replace(SHORT, set_points_c=(25.0, 25.5) * 20, bench=replace(BENCH, turn_rates=()))
-    a, b = (simulate_thermal_session("soak", d, rng=rng(), settings=settings).records[0] for d in (walking, device))
-    walked = (a.gyro - b.gyro) / device.gyro.gain  # type: ignore[operator]
-    last = np.flatnonzero(np.diff(a.time) > 1.0)
-    pace = (walked[last + 1] - walked[last]) / np.sqrt(np.diff(a.time)[last])[:, None]
-    # 117 draws: their standard deviation is known to 6.5 %
-    assert pace.std() == pytest.approx(1e-3, rel=0.25)
-    assert np.abs(walked[-1]).max() > 3.0 * np.abs(walked[50]).max()
 
 
 def test_labels_lie_right_on_the_samples_of_a_device_with_a_clock_of_its_own() -> None:

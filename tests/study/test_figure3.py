@@ -42,13 +42,6 @@ def test_a_rest_before_the_motion_takes_what_tables_leave(typical: Figure3) -> N
     assert typical.simulated_max_deg[4] < typical.simulated_max_deg[3] < typical.simulated_max_deg[0]
 
 
-@pytest.mark.slow
-def test_errors_of_the_drift_are_correlated_and_noise_is_not(typical: Figure3) -> None:
-    # Without tables the error is a ramp of degrees, common to both, and their difference a tenth of it.
-    assert typical.correlation[0] > 0.99
-    assert typical.correlation[2] < typical.correlation[0]  # what tables leave is largely noise of each
-
-
 def test_tables_from_the_way_up_bring_the_actual_device_within_the_notes_difference() -> None:
     figure = figure3(seed=0)  # as the note's picture is drawn
     # What wears a device only warms it: tables of the way up hold the same branch of the loop as the trial.

@@ -121,14 +121,6 @@ def test_a_rate_below_one_count_of_the_encoder_in_a_tenth_of_a_second_is_refused
     read_study(folder / "study.toml")
 
 
-def test_a_unit_without_assumed_figures_keeps_the_draws_of_the_others():
-    study = note_study()
-    unit, bare = study.unit(3), study.unit(3, assumed=False)
-    np.testing.assert_array_equal(unit.gyro.scale.error, bare.gyro.scale.error)  # known
-    assert unit.gyro.offset.per_k.any()
-    assert not bare.gyro.offset.per_k.any()  # assumed
-
-
 DEG = np.pi / 180.0
 FILE = Path("poses.parquet")
 

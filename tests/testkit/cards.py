@@ -33,7 +33,6 @@ class Card:
         self.spoilt: dict[str, list[bytes | None]] = {}
         self.polls = polls
         self.moving = 0
-        self.refused: dict[str, int] = {}
         self.code = 0
 
     def spoil(self, command: str, *answers: bytes | None) -> None:
@@ -44,10 +43,6 @@ class Card:
         for start, answers in self.spoilt.items():
             if command.startswith(start) and answers:
                 return answers.pop(0)
-        for start, code in self.refused.items():
-            if command.startswith(start):
-                self.code = code
-                return b"?"
         return self.answer(command)
 
     def answer(self, command: str) -> bytes:

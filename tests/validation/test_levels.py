@@ -162,15 +162,6 @@ def test_the_simulated_device_predicts_the_error_of_each_level():
     assert np.isnan(errors_of(table, "all tables").simulated_deg).all()  # the calibration predicts no error of its own
 
 
-def test_an_offset_that_the_calibration_does_not_know_is_a_difference():
-    one = trial(1)
-    changed = replace(one.record, gyro=one.record.gyro + np.array([0.3, -0.3, 0.2]))
-    known, unknown = (errors_of(judge_levels([each]), "constants") for each in (one, replace(one, record=changed)))
-    assert known.difference_deg[0] < NOTE_DIFFERENCE_DEG
-    assert unknown.simulated_deg[0] == pytest.approx(known.simulated_deg[0], rel=0.2)
-    assert unknown.difference_deg[0] > 3.0 * NOTE_DIFFERENCE_DEG
-
-
 PLAIN = replace(FULL, drift=None)
 
 
@@ -192,12 +183,3 @@ def test_a_sit_to_stand_shows_how_the_device_sits_on_a_cluster_of_any_axes(turne
     assert trial.mounting.applied
     assert trial.mounting.angle == pytest.approx(expected, abs=np.radians(0.3))
     assert trial.figures.rmse_total_deg < 0.2
-
-
-@pytest.mark.slow
-def test_the_filter_holds_the_inclination_where_the_offset_is_left_in_and_states_no_error_to_expect():
-    raw, filtered = (judged((0.0, 0.0, 0.0), method=method, offset="none")[0] for method in ("strapdown", "vqf"))
-    angles = [one.figures.rmse_inclination_deg for one in (raw, filtered)]
-    show("inclination by gyroscopes and by the filter, deg", np.round(angles, 3))
-    assert filtered.expected is None
-    assert angles[1] < 0.5 * angles[0]

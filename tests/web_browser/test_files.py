@@ -3,7 +3,6 @@
 import time
 import zipfile
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +10,6 @@ import pytest
 from playwright.sync_api import Page, expect
 
 import undrift
-from testkit.bench import BenchServer
-from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from web_browser.conftest import COMMAND_MS, Person, faults_of, picture, report, shoot, wide_and_narrow
 
 CLICKS = 8  # at most
@@ -68,42 +65,3 @@ def test_from_the_zip_of_a_phone_to_a_corrected_file(
     expect(page.get_by_role("link", name="Download phone-corrected.csv")).to_be_visible()
     assert (faults, person.complaints) == ([], [])
     assert person.clicks <= CLICKS
-
-
-@pytest.mark.slow
-def test_columns_and_units_of_a_table_prove_themselves(
-    open_page: Callable[..., Page], bench_server: BenchServer, tmp_path: Path
-) -> None:
-    rng = np.random.default_rng(7)
-    device = undrift.random_device(rng)
-    made = undrift.calibrate(undrift.simulate_session("bench", device, rng=rng))
-    (record,) = undrift.simulate_session("ferraris", device, rng=rng, labelled=False).records
-    turned = replace(undrift.correct(record, made), state="raw", frame="s")
-    table = np.column_stack(
-        (turned.time * 1e3, np.asarray(turned.gyro) / RADIAN_PER_DEGREE, np.asarray(turned.accel) / STANDARD_GRAVITY)
-    )
-    np.savetxt(tmp_path / "log.csv", table, "%.6f", ",", header="Time,gx,gy,gz,ax,ay,az", comments="")
-    page = open_page()
-    person, read = Person(page), "Columns and units are right: read the file"
-    person.drop(tmp_path / "log.csv")
-    choose(page, "Unit of the accelerometers", "Choose the unit")
-    person.click(read)
-    expect(page.get_by_role("alert").filter(has_text="Choose the unit of accel")).to_be_visible()
-    choose(page, "Unit of the gyroscopes", "dps")
-    choose(page, "Unit of the accelerometers", "m/s2")
-    person.click(read)
-    expect(report(page).locator("body")).to_contain_text("units.accel", timeout=COMMAND_MS)
-    person.click('Expand "Columns and units"')
-    choose(page, "Unit of the accelerometers", "g")
-    person.click(read)
-    expect(report(page).get_by_role("row", name="acceleration at rest 1 g")).to_be_visible(timeout=COMMAND_MS)
-    expect(report(page).get_by_role("row", name="still phases")).to_contain_text("12")
-    assert faults_of(page) == []
-    assert person.complaints == []
-    assert len(list(bench_server.folder.glob("uploads/*/map.toml"))) == 1
-
-
-def choose(page: Page, label: str, option: str) -> None:
-    """Choose an option of a list."""
-    page.get_by_label(label).click(timeout=COMMAND_MS)
-    page.get_by_role("option", name=option, exact=True).click()

@@ -16,7 +16,7 @@ from undrift.errors import FileFormatError
 from undrift.sim.device.model import device_json, read_device, write_device
 from undrift.sim.device.presets import GRADES, PRESETS, grade_of, preset, random_device, sensitivity_of
 from undrift.sim.device.simulate import simulate_device
-from undrift.sim.device.truth import nominal_calibration, true_calibration, true_tables
+from undrift.sim.device.truth import nominal_calibration, true_calibration
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 DPS = RADIAN_PER_DEGREE
@@ -66,27 +66,6 @@ def test_true_calibration_is_within_noise_and_the_data_sheet_within_tolerance(na
     off = np.abs(nominal.gyro.mean(axis=0) - rate[0]).max()  # type: ignore[union-attr]
     spread = sheet.offset_sd + 0.6 * (sheet.sensitivity_sd + 2.0 * sheet.misalignment_sd)
     assert off < LIMIT_SD * spread + 4.0 * sheet.g_sensitivity_sd * STANDARD_GRAVITY
-
-
-@pytest.mark.slow
-def test_the_true_tables_undo_a_hot_device_that_bends() -> None:
-    device = without_noise(random_device(np.random.default_rng(2), grade="enc03j_3031"))
-    device = replace(
-        device,
-        gyro=replace(device.gyro, low_pass=None, warm_up=None, hysteresis=None, g_sensitivity=None),
-        thermometer=replace(device.thermometer, lag_s=0.0, self_heating_c=0.0, trim_error_c=0.0),
-    )
-    rates = np.linspace(-2.0, 2.0, 401)
-    tables = true_tables(device, np.linspace(18.0, 75.0, 115), rates)
-    for axis in range(3):
-        rate = np.zeros((200, 3))
-        rate[:, axis] = np.linspace(-1.5, 1.5, 200)
-        motion = motion_of(np.arange(200) / 100.0, rate, angular_acceleration_b=np.zeros((200, 3)))
-        record = simulate_device(device, motion, rng=np.random.default_rng(1), temp_c=41.3).record
-        done = correct(record, replace(true_calibration(device), drift=tables)).gyro
-        assert done is not None
-        # Between nodes 0.5 degC apart a chord misses the quadratic drift by c (0.25 K)^2, c at most 5e-5 rad/s/K2: 3e-6 rad/s.
-        np.testing.assert_allclose(done[:, axis], rate[:, axis], atol=4e-6)
 
 
 @pytest.mark.slow

@@ -1,0 +1,43 @@
+"""A driver of a table on a scripted controller, on a virtual clock: what it sends is heard, and answers can be spoilt."""
+
+import contextlib
+
+from testkit.cards import Board, Card
+from testkit.scripted_server import VirtualScripted
+from testkit.virtual_clock import VirtualClock
+from undrift.errors import LinkError
+from undrift.rig.galil import GalilCard, GalilRig
+from undrift.rig.grbl import GrblBoard, GrblRig
+from undrift.rig.rig import RigSettings
+
+KINDS = {  # controller, link, rig, and how the lines end
+    "galil": (Card, GalilCard, GalilRig, {}),
+    "grbl": (Board, GrblBoard, GrblRig, {"terminator": b"\n", "at_once": "?!~\x18\x85"}),
+}
+
+
+class DriverBench:
+    """A rig on a scripted controller, as a context manager."""
+
+    def __init__(self, kind, controller=None, *, reply_timeout_s=20.0, **settings):
+        made, link, rig, line = KINDS[kind]
+        self.kind, self.controller, self.clock = kind, controller or made(), VirtualClock()
+        self.server = VirtualScripted(self.controller, self.clock, **line)
+        self.link = link(self.server.url, reply_timeout_s=reply_timeout_s, clock=self.clock)
+        self.rig = rig(self.link, RigSettings(clock=self.clock, **settings))
+        self.opening = [*self.server.heard]
+        self.server.heard.clear()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *failure):
+        with contextlib.suppress(LinkError):
+            self.rig.close()
+        self.server.close()
+
+    def at_rest(self):
+        """Return whether the controller has no move, and its motor is off."""
+        if self.kind == "galil":
+            return (self.controller.held["MO"], self.controller.moving) == ("1", 0)
+        return self.controller.state == "Sleep"
