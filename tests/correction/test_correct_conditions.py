@@ -57,6 +57,13 @@ def test_warm_up_is_subtracted_until_it_is_over(drift, adc, since):
     assert got.gyro[settled].tobytes() == corrected(r, c).gyro[settled].tobytes()
 
 
+def test_a_warm_up_is_converted_with_the_readings():
+    c = warming(unit="si")
+    r = record(unit="si", temp_c=None)
+    si, dps = corrected(r, c, power_on_s=0.1), corrected(r.in_units("dps", "g"), c, power_on_s=0.1)
+    np.testing.assert_allclose(dps.gyro, si.gyro, rtol=0, atol=1e-12)  # rad/s of warm-ups near 40
+
+
 def test_no_warm_up_is_subtracted_without_power_on():
     c, r = warming(tables()), record()
     done = correct_checked(r, c)
