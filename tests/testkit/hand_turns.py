@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from undrift.frames import integrate_strapdown
 from undrift.record import Record, Reference
 
 FINE_HZ = 2000.0
@@ -61,8 +60,11 @@ def make_recording(
         place = np.mod(fine - rest_s, 10.0)
         gate = np.clip(np.minimum(place, 6.0 - place) / 0.5, 0.0, 1.0)
         w = w * gate[:, None]
+    middle = turning_rate_at_middle(w)
+    steps = Rotation.from_rotvec(middle / FINE_HZ)
     start = Rotation.from_euler("xyz", (tilt, -0.5 * tilt, 0.7)).as_quat(scalar_first=True)
-    turned = Rotation.from_quat(integrate_strapdown(mean_of_each_step(w), fine, start), scalar_first=True)
+    q = running_product(np.vstack((start, steps.as_quat(scalar_first=True)[:-1])))
+    turned = Rotation.from_quat(q, scalar_first=True)
     force = turned.inv().apply((0.0, 0.0, GRAVITY))
     t = np.arange(round(total * sample_rate_hz)) / sample_rate_hz
     true = np.clip(t - device.lag_s, 0.0, fine[-1])
@@ -94,9 +96,35 @@ def make_recording(
     return record, cut(reference, keep)
 
 
-def mean_of_each_step(w):
-    """Return the mean rate of the step that leads to each sample."""
-    return 0.5 * (w + np.concatenate((w[:1], w[:-1])))
+def turning_rate_at_middle(w):
+    return 0.5 * (w + np.concatenate((w[1:], w[-1:])))
+
+
+def product(p, q):
+    """Quaternions w-x-y-z, one after the other."""
+    a, b, c, d = np.moveaxis(p, -1, 0)
+    w, x, y, z = np.moveaxis(q, -1, 0)
+    return np.stack(
+        (
+            a * w - b * x - c * y - d * z,
+            a * x + b * w + c * z - d * y,
+            a * y - b * z + c * w + d * x,
+            a * z + b * y - c * x + d * w,
+        ),
+        axis=-1,
+    )
+
+
+def running_product(q):
+    """Product of all quaternions up to each: many short runs side by side, then from run to run."""
+    n = len(q)
+    width = round(np.sqrt(n))
+    runs = np.vstack((q, np.tile((1.0, 0.0, 0.0, 0.0), (-n % width, 1)))).reshape(-1, width, 4)
+    for k in range(1, width):
+        runs[:, k] = product(runs[:, k - 1], runs[:, k])
+    for k in range(1, len(runs)):
+        runs[k] = product(runs[k - 1, -1], runs[k])
+    return runs.reshape(-1, 4)[:n]
 
 
 def cut(reference, keep):
