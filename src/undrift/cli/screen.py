@@ -30,6 +30,7 @@ class Terminal(Screen):
         self._bar = Progress(*columns, console=console(err=True), transient=True, disable=not self._interactive)
         self._bar_task = self._bar.add_task(self._task, total=1.0)
         self._stop, self._start_s = threading.Event(), time.monotonic()
+        self._reported_s = 0.0  # time of the last report of progress
         self._step: int | None = None
         self._lines = 1  # number of lines shown last, which the next lines overwrite
 
@@ -49,7 +50,7 @@ class Terminal(Screen):
             if not self._interactive and has_threads():
                 threading.Thread(target=self._report_periodically, daemon=True).start()
         *lines, self._task = task.split("\n")
-        self._share = share
+        self._share, self._reported_s = share, time.monotonic() - self._start_s
         say(*(f"undrift {self._command}: {line}" for line in lines), err=True)
         self._bar.update(self._bar_task, description=self._task, completed=share)
 
@@ -77,6 +78,9 @@ class Terminal(Screen):
 
     def _report_periodically(self) -> None:
         while not self._stop.wait(INTERVAL_S):
-            state = f"{time.monotonic() - self._start_s:.0f} s so far ({100.0 * self._share:.0f} %)"
-            sys.stderr.write(f"undrift {self._command}: {self._task}, {state}\n")
+            elapsed_s, share, remaining = time.monotonic() - self._start_s, self._share, "time left not known yet"
+            if share > 0.0:  # counted down from the last report of progress
+                left_s = max(0.0, self._reported_s * (1.0 - share) / share - (elapsed_s - self._reported_s))
+                remaining = f"about {left_s:.0f} s left ({100.0 * share:.0f} %)"
+            sys.stderr.write(f"undrift {self._command}: {self._task}, {elapsed_s:.0f} s so far, {remaining}\n")
             sys.stderr.flush()
