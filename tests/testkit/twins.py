@@ -26,6 +26,13 @@ def triad(u, temp, model: TriadModel, offsets, matrices, warm_up=0.0):
     return np.einsum("nij,nj->ni", np.broadcast_to(matrix, (len(u), 3, 3)), u - offset)
 
 
+def extrapolated(nodes, marks, x):
+    """Whether values drawn from a table at x draw on a marked node."""
+    drawn = [[i for i in (k, k + 1) if nodes[k] <= v <= nodes[k + 1] and (v == nodes[i] or v not in nodes)]
+             for v in x for k in [min(max(np.searchsorted(nodes, v) - 1, 0), len(nodes) - 2)]]  # fmt: skip
+    return np.array([any(marks[i] for i in of) for of in drawn])
+
+
 def corrected(calibration: Calibration, gyro, accel, temp, since=None):
     """The five steps of undrift.correct for readings in the calibration's own units: (rate, specific force)."""
     c, drift, adc = calibration, calibration.drift, calibration.adc

@@ -45,7 +45,7 @@ from undrift.report.figures import draw_record
 from undrift.screen import progress, reading
 
 READ = 0.8  # share of the time when a recording without a known length is read
-NOT_COVERED = ("outside", "without_temperature")  # of the tuning tables
+NOT_COVERED = ("outside", "extrapolated", "without_temperature")  # of the tuning tables
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -134,10 +134,11 @@ def correct(
 
 def _answer(state: Carry) -> str:
     reach = state.reach
-    outside = reach.samples_outside + reach.samples_without_temperature
+    far, outside = reach.samples_extrapolated, reach.samples_outside + reach.samples_without_temperature
     covered = "none outside the temperatures of the calibration"
-    if outside:
-        covered = f"{100.0 * outside / reach.samples:.3g} % of them outside the tuning tables"
+    if far or outside:
+        shares = [f"{100.0 * count / reach.samples:.3g} %" for count in (far, outside)]
+        covered = f"{shares[0]} of them where the tuning tables are extrapolated, {shares[1]} outside"
     return f"{reach.samples} samples are in rad/s and m/s2, {covered}."
 
 

@@ -110,6 +110,7 @@ class Corrected:
 
     record: Record  # rad/s and m/s2 in frame b, state corrected
     outside: BoolArray  # temperatures beyond a tuning table
+    extrapolated: BoolArray  # temperatures and rates at nodes of a table without nearby data
     missing: BoolArray  # no temperature for a table, with NaN as the result under every policy
     # readings beyond the calibration (level warn), errors that it does not correct (info)
     findings: tuple[Finding, ...]
@@ -276,11 +277,12 @@ def correct_planned(
         turning, state = find_turning(outputs[0], time, carry.turning)
         outputs[0][turning > 0.0] -= rest_offset
         coming = replace(coming, turning=state)
+    extrapolated = coverage.find_extrapolated(temp_c, plans, outputs)
     if policy == "nan" and outside is not None:
         for plan, values in zip(plans, outputs, strict=True):
             if plan is not None and plan.tables:
                 values[outside] = np.nan
-    masks = {"outside": outside, "without_temperature": missing}
+    masks = {"outside": outside, "extrapolated": extrapolated, "without_temperature": missing}
     amounts: dict[str, Any] = {f"samples_{name}": int(mask.sum()) for name, mask in masks.items() if mask is not None}
     amounts |= {f"seconds_{name}": coverage.seconds_of(mask, time, before) for name, mask in masks.items()}
     span_c, departure_c = coverage.temperature_reach(temp_c, calibration, plans)
@@ -302,6 +304,7 @@ def correct_planned(
             accel_uncertainty=force_uncertainty(calibration, record.accel_unit),
         ),
         outside=unmarked if outside is None else outside,
+        extrapolated=unmarked if extrapolated is None else extrapolated,
         missing=unmarked if missing is None else missing,
         findings=(
             *coverage.coverage_findings(reach, calibration),

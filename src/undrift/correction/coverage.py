@@ -4,6 +4,7 @@
 
     missing        no temperature was recorded, but a table needs one
     outside        the temperature is beyond a table (under policy raise also 3 degC beyond the data of the table)
+    extrapolated   it is inside, but the correction uses a node without nearby data
     departure      constant offsets are used far from the temperature at which they were determined
     turn rate      beyond the dynamic table
 
@@ -13,7 +14,7 @@ Temperatures are sensor temperatures, without the thermometer's lag (correction/
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray
-from undrift.correction.plan import NOWHERE, Carry, Plans, Reach, Span, has_tables
+from undrift.correction.plan import NOWHERE, Carry, LookupTable, Plans, Reach, Span, has_tables
 from undrift.errors import DriftRangeError
 from undrift.findings import Finding, finding, told_apart
 from undrift.model import BEYOND_SEEN_C, Calibration, DriftTables, seen_span
@@ -21,6 +22,7 @@ from undrift.record import Record
 from undrift.units import si_factor
 
 REFERENCE_SPAN_C = 5.0  # distance from the reference temperature within which constant offsets are assumed to apply
+ON_NODE = 1e-9  # in cells: a value so near to a node uses that node only
 
 
 def seconds_of(mask: BoolArray | None, time: FloatArray, before: float | None) -> float:
@@ -76,6 +78,37 @@ def _other_unit(least: float, greatest: float, table: Span) -> str:
     return ""
 
 
+def find_extrapolated(temp_c: FloatArray, plans: Plans, corrected: tuple[FloatArray, FloatArray]) -> BoolArray | None:
+    """Find the samples whose correction uses nodes without nearby data, or return None. ``corrected`` (N, 3) is in SI units."""
+    mask: BoolArray | None = None
+    for plan, rates in zip(plans, corrected, strict=True):
+        for table in () if plan is None else plan.tables:
+            if plan is not None and (weight := _weight_of_marks(table, temp_c, rates)) is not None:
+                used = (weight > ON_NODE) & (temp_c >= plan.temp_range[0]) & (temp_c <= plan.temp_range[1])
+                mask = used if mask is None else mask | used
+    return mask
+
+
+def _weight_of_marks(table: LookupTable, temp_c: FloatArray, rates: FloatArray) -> FloatArray | None:
+    """Return the interpolation weight (N,) of extrapolated nodes in a table's values, or None if none is near."""
+    nodes, marks = table.temp.nodes, table.extrapolated
+    least, greatest = extremes(temp_c)
+    if (
+        marks is None
+        or not marks[max(int(nodes.searchsorted(least, "right")) - 1, 0) : nodes.searchsorted(greatest) + 1].any()
+    ):
+        return None
+    if table.turn_rate is None:
+        return np.interp(temp_c, nodes, marks)
+    from scipy.interpolate import RegularGridInterpolator
+
+    rate_nodes = table.turn_rate.nodes
+    weight = RegularGridInterpolator((nodes, rate_nodes), marks.astype(float), bounds_error=False)
+    return np.asarray(
+        np.fmax.reduce([weight((temp_c, rate)) for rate in np.clip(rates, rate_nodes[0], rate_nodes[-1]).T])
+    )
+
+
 def temperature_reach(temp_c: FloatArray, calibration: Calibration, plans: Plans) -> tuple[Span, float]:
     """Return minimum and maximum temperature, degC, and the largest distance to the temperature of constant offsets."""
     reference = calibration.reference_temp_c
@@ -115,6 +148,13 @@ def coverage_findings(reach: Reach, calibration: Calibration) -> tuple[Finding, 
         findings.append(
             _outside(
                 f"{seconds:.1f} s are outside the drift table: {low:.1f} to {high:.1f} degC were recorded{lag}.",
+                seconds=seconds,
+            )
+        )
+    if (seconds := reach.seconds_extrapolated) > 0.0:
+        findings.append(
+            _outside(
+                f"The drift table is extrapolated for {seconds:.1f} s: it has no data near these temperatures and rates.",
                 seconds=seconds,
             )
         )

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
-from undrift.arrays import FloatArray, interpolated
+from undrift.arrays import BoolArray, FloatArray, interpolated
 from undrift.base import workers
 from undrift.drift.temperature import NO_READING, without_lag
 from undrift.errors import InputError
@@ -106,6 +106,7 @@ class LookupTable:
     temp: TableAxis  # temperatures, degC, or for the warm-up the time since power-on, s
     turn_rate: TableAxis | None = None  # measured rates, rad/s, or None for a table over temperature only
     values: FloatArray  # (n, c), or (n, k, c), c values at each node
+    extrapolated: BoolArray | None = None  # (n,) or (n, k), of the nodes of the fit: True if no data were near
 
     def evened(self) -> "LookupTable":
         """Return the table with its axes extended to even grids, if possible."""
@@ -188,22 +189,24 @@ def constants_of(calibration: Calibration, sensor: Sensor, unit: str = "") -> Co
         half_step=half if model.code_offset is None else model.code_offset / factor,
         at_rest=None if moving is None else moving * si,
         g_sensitivity=None if g is None else g * si,
-        offset_table=None if offsets is None else _line(offsets.temp_c, offsets.value / factor - shift),
+        offset_table=None
+        if offsets is None
+        else _line(offsets.temp_c, offsets.value / factor - shift, offsets.extrapolated),
         matrix_table=None
         if matrices is None
-        else _line(matrices.temp_c, matrices.value.reshape(-1, 9) * (factor * si)),
+        else _line(matrices.temp_c, matrices.value.reshape(-1, 9) * (factor * si), matrices.extrapolated),
         error_table=None if errors is None else _error_table(errors),
         warm_up_table=None if warm_up is None else _line(warm_up.power_on_s, warm_up.gyro_offset / factor),
     )
 
 
-def _line(nodes: FloatArray, values: FloatArray) -> LookupTable:
-    return LookupTable(temp=TableAxis(nodes=nodes), values=values)
+def _line(nodes: FloatArray, values: FloatArray, extrapolated: BoolArray | None = None) -> LookupTable:
+    return LookupTable(temp=TableAxis(nodes=nodes), values=values, extrapolated=extrapolated)
 
 
 def _error_table(errors: DynamicDrift) -> LookupTable:
     temp, rate = TableAxis(nodes=errors.temp_c), TableAxis(nodes=errors.turn_rate)
-    return LookupTable(temp=temp, turn_rate=rate, values=errors.error)
+    return LookupTable(temp=temp, turn_rate=rate, values=errors.error, extrapolated=errors.extrapolated)
 
 
 def _input_factor(model: TriadModel, unit: str, sensor: Sensor, quantity: Quantity) -> float:
@@ -317,8 +320,10 @@ class Reach:
 
     samples: int = 0
     samples_outside: int = 0  # beyond the tuning tables
+    samples_extrapolated: int = 0  # inside them at nodes that no data were near
     samples_without_temperature: int = 0  # needed by the tables (the result is a gap under every policy)
     seconds_outside: float = 0.0
+    seconds_extrapolated: float = 0.0
     seconds_without_temperature: float = 0.0
     temp_c: Span = NOWHERE  # degC, or (inf, -inf) if nothing depends on it
     departure_c: float = 0.0  # distance to the temperature of the constant offsets, degC, or 0 if no offset is constant
