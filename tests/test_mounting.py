@@ -1,11 +1,11 @@
-"""Mounting: simulated people who stand and walk with a misplaced device."""
+"""Mounting: simulated people who stand, walk and bow with a misplaced device."""
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from testkit.data import show
-from testkit.walking import misplaced, walk
+from testkit.walking import bow, misplaced, walk
 from undrift.errors import InputError
 from undrift.frames import quaternion_product, rotation
 from undrift.model import BodyMounting
@@ -17,11 +17,11 @@ PEOPLE = 40
 LARGEST_DEG, COVERED = 2.0, (0.90, 0.98)  # rms error of the whole rotation; share of angles inside their 95 %
 
 
-def drawn(seed, place):
+def drawn(seed, place, movement="walk"):
     """Return the recording of a person whose device is 20 deg off some half-turn, and R_ab."""
     rng = np.random.default_rng(seed)
     q_ab = misplaced(rng, 20.0, HALF_TURNS[rng.integers(4)])
-    how = walk(rng, place, q_ab=q_ab)
+    how = walk(rng, place, q_ab=q_ab) if movement == "walk" else bow(rng, q_ab=q_ab)
     return how, rotation(q_ab).as_matrix()
 
 
@@ -30,12 +30,12 @@ def off(found, matrix):
     return Rotation.from_matrix(found.matrix @ matrix.T).as_rotvec()
 
 
-def errors(place, seeds):
+def errors(place, seeds, movement="walk"):
     """Return errors and stated standard uncertainties of people, (K, 3) each, rad."""
     rows = []
     for seed in seeds:
-        record, matrix = drawn(seed, place)
-        fit = find_mounting([record], place)
+        record, matrix = drawn(seed, place, movement)
+        fit = find_mounting([record], place, movement=movement)
         mounting = fit.mounting
         assert mounting is not None, (place, seed)
         rows.append((off(mounting, matrix), np.sqrt(np.diag(mounting.covariance))))
@@ -55,11 +55,14 @@ def test_posture_and_walking_show_a_device_that_is_20_deg_off(place):
     assert COVERED[0] <= inside <= COVERED[1]
 
 
-@pytest.mark.parametrize("place", ["thigh", "foot", "wrist"])
-def test_every_place_shows_forward(place):
-    error, stated = errors(place, range(2000, 2008))
+@pytest.mark.parametrize(
+    ("place", "movement"),
+    [("thigh", "walk"), ("foot", "walk"), ("wrist", "walk"), ("lower-back", "bow")],
+)
+def test_every_place_and_movement_shows_forward(place, movement):
+    error, stated = errors(place, range(2000, 2008), movement)
     worst = float((np.abs(error) / stated).max())
-    show(f"{place}: rms error, deg", np.degrees(np.sqrt((error**2).sum(axis=1).mean())).round(2))
+    show(f"{place} by {movement}: rms error, deg", np.degrees(np.sqrt((error**2).sum(axis=1).mean())).round(2))
     assert worst < 3.5  # of 24 angles; 3.5 standard deviations leave out one angle in two thousand
 
 
@@ -85,6 +88,12 @@ def test_a_device_that_slipped_between_recordings_is_less_sure():
     result, sound = (find_mounting(records, "lower-back") for records in ([first, second], [first]))
     assert result.mounting.covariance[2, 2] > 9.0 * sound.mounting.covariance[2, 2]
     assert "mount.uncertain" in [finding.code for finding in result.verdict.findings]
+
+
+def test_a_bow_moves_the_lower_back_only():
+    record, _ = drawn(6, "lower-back")
+    with pytest.raises(InputError, match="Choose walk"):
+        find_mounting([record], "foot", movement="bow")
 
 
 def test_mounting_gives_the_orientation_of_the_segment():

@@ -4,10 +4,10 @@ Axes a are x forward, y left, z up, when the wearer stands upright. ``R_ab`` map
 
 ``up``       the vertical in b while the wearer stands for longest
 ``forward``  from walks between stances: the horizontal acceleration, integrated from rest to rest, is the velocity, and its mean
-             points forward.
+             points forward. Or from bows of the trunk: the vertical in b leaves ``up`` towards the back.
 
-The scatter of the walks determines the uncertainty of their mean. An error that all walks share, because human movement varies,
-is added (``STANCE``, ``SHARED``).
+The scatter of the pieces (walks, bows) determines the uncertainty of their mean. An error that all pieces share, because human
+movement varies, is added (``STANCE``, ``SHARED``).
 """
 
 from collections.abc import Sequence
@@ -29,12 +29,15 @@ from undrift.segments import unpadded
 from undrift.units import RADIAN_PER_DEGREE as DEG
 
 Worn = Literal["lower-back", "thigh", "shank", "foot", "wrist"]
+Movement = Literal["walk", "bow"]
 Span = tuple[float, float]
 
 # standard uncertainty of upright about x and y, rad: sway of older people in quiet stance
 STANCE = (0.6 * DEG, 0.9 * DEG)
-# usual scatter of the walks of simulated people, rounded up, and the error that all walks share, rad
-SCATTER, SHARED = 1.5 * DEG, 0.7 * DEG
+# usual scatter of the pieces, rad, of simulated people, rounded up, error that all pieces share, rad, and fewest pieces
+SCATTER = {"walk": 1.5 * DEG, "bow": 3.0 * DEG}
+SHARED = {"walk": 0.7 * DEG, "bow": 2.0 * DEG}
+FEWEST = {"walk": 1, "bow": 2}
 WARN = 5.0 * DEG  # uncertainty of the mounting
 TURNED = 45.0 * DEG  # against the mounting before
 OFFSET = 0.5 * DEG  # rad/s, that gyroscopes have before the filter
@@ -43,10 +46,10 @@ WALK_S, START_S = 15.0, 1.2  # longest walk that is integrated, and its first an
 BAND_HZ, SLOW_HZ = (0.7, 5.0), 0.5  # frequencies of steps, and of their size
 QUIET, STEPS = 0.3, 0.6  # rms of the vertical acceleration over two seconds in stance and in steps, m/s2
 SWAY, TURN = 4.0 * DEG, 20.0 * DEG  # rate of the vertical in stance, and about it in a straight walk, rad/s
-UPRIGHT = 20.0 * DEG  # largest tilt of an upright stance
+LEAN, UPRIGHT = 10.0 * DEG, 20.0 * DEG  # smallest lean of a bow, and largest tilt of an upright stance
 CLEAR = 4.0  # a direction in its uncertainties
 LEAST_HZ, MOST_HZ = 15.0, 5000.0  # limits of the sample rate (steps come twice a second)
-USUAL_WALKS = 4  # number of walks that the usual scatter counts for
+USUAL_PIECES = 4  # number of pieces that the usual scatter counts for
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -68,29 +71,32 @@ class _Track:
 
 
 RECORD_AGAIN = (
-    "Stand upright and still for 3 s, walk straight for 8 s and halt, four times. Check that the device does not slip."
+    "Stand upright and still for 3 s, walk straight for 8 s and halt, four times, or bow twice or more (`movement`). "
+    "Check that the device does not slip."
 )
 
 
-def find_mounting(records: Sequence[Record], place: Worn) -> MountFit:
+def find_mounting(records: Sequence[Record], place: Worn, movement: Movement = "walk") -> MountFit:
     """Determine the mounting of a device from recordings without a change of mounting."""
+    if movement == "bow" and place != "lower-back":
+        raise InputError(f"mount: a bow does not move the {place} as it moves the trunk. Choose walk.")
     tracks = [_track(record) for record in records]
     stance = _up(tracks)
     if stance is None:
         return _undetermined("Up", f"there is no upright stance of {STANCE_S:g} s")
     up, variances, basis = stance
-    walks = np.reshape([way for track in tracks for way in _bouts(track)], (-1, 3)) @ (np.eye(3) - np.outer(up, up))
-    if not len(walks):
-        return _undetermined("Forward", "there are no walks between two stances")
-    direction = _direction(walks, up)
+    pieces = _pieces(tracks, up, movement)
+    direction = _direction(pieces, up, SCATTER[movement]) if len(pieces) >= FEWEST[movement] else None
     if direction is None:
-        return _undetermined("Forward", f"the {len(walks)} walks between two stances have no common direction")
+        name = "walks between two stances" if movement == "walk" else "bows"
+        why = f"the {len(pieces)} {name} have no common direction" if len(pieces) else f"there are no {name}"
+        return _undetermined("Forward", why)
     forward, scatter = direction
     worn = BodyMounting(
         place=place,
         matrix=np.stack((forward, np.cross(up, forward), up)),
-        covariance=np.diag((*variances, scatter**2 + SHARED**2)),
-        basis=f"{basis}; forward by {len(walks)} walks between stances",
+        covariance=np.diag((*variances, scatter**2 + SHARED[movement] ** 2)),
+        basis=f"{basis}; forward by {len(pieces)} {'walks between stances' if movement == 'walk' else 'bows'}",
     )
     # a wrong sign of the accelerometers has no other effect
     ahead, upward = (nearest_side(direction)[0] for direction in (forward, up))
@@ -188,18 +194,29 @@ def _up(tracks: Sequence[_Track]) -> tuple[FloatArray, Span, str] | None:
     return up, (x, y), f"up by standing from {start:.1f} to {start + length:.1f} s"
 
 
-def _direction(walks: FloatArray, up: FloatArray) -> tuple[FloatArray, float] | None:
-    """Return the direction of the robust mean of walks (K, 3) and its standard uncertainty, rad, or None if it is not clear."""
-    middle, weight, count = walks.mean(axis=0), np.ones(len(walks)), len(walks)
+def _pieces(tracks: Sequence[_Track], up: FloatArray, movement: Movement) -> FloatArray:
+    """Return horizontal vectors (K, 3) in b that point forward on average."""
+    if movement == "walk":
+        ways = [way for track in tracks for way in _bouts(track)]
+    else:
+        least = 0.3 * tracks[0].record.sample_rate_hz
+        leans = [(track, a, b) for track in tracks for a, b in runs(track.up @ up < np.cos(LEAN)) if b - a > least]
+        ways = [-track.up[a:b].mean(axis=0) for track, a, b in leans]
+    return np.reshape(ways, (-1, 3)) @ (np.eye(3) - np.outer(up, up))
+
+
+def _direction(pieces: FloatArray, up: FloatArray, spread: float) -> tuple[FloatArray, float] | None:
+    """Return the direction of the robust mean of pieces (K, 3) and its standard uncertainty, rad, or None if it is not clear."""
+    middle, weight, count = pieces.mean(axis=0), np.ones(len(pieces)), len(pieces)
     for _ in range(50):
-        distance = np.linalg.norm(walks - middle, axis=1)
+        distance = np.linalg.norm(pieces - middle, axis=1)
         weight = 1.0 / np.maximum(distance, float(np.median(distance)) + 1e-12)
         weight /= weight.sum()
-        middle = weight @ walks
+        middle = weight @ pieces
     length = max(float(np.linalg.norm(middle)), 1e-12)
-    forward, deviation = middle / length, (walks - middle) / length * (count * weight)[:, None]
+    forward, deviation = middle / length, (pieces - middle) / length * (count * weight)[:, None]
     along_sigma, cross_sigma = (
-        float(np.sqrt((((deviation @ way) ** 2).sum() + USUAL_WALKS * SCATTER**2) / (count - 1 + USUAL_WALKS) / count))
+        float(np.sqrt((((deviation @ way) ** 2).sum() + USUAL_PIECES * spread**2) / (count - 1 + USUAL_PIECES) / count))
         for way in (forward, np.cross(up, forward))
     )
     return (forward, cross_sigma) if 1.0 / max(along_sigma, cross_sigma) > CLEAR else None

@@ -80,6 +80,7 @@ def test_what_is_not_shown_writes_nothing_and_fails(undrift, worn, tmp_path):
         ((), "--worn"),
         (("--worn", "thigh", "-o", "no.json"), "expected a calibration to add the mounting to, got none"),
         (("--worn", "thigh", "-o", "no.csv"), r"expected a name ending in \.json"),
+        (("--worn", "foot", "--movement", "bow"), "bow does not move the foot"),
     ],
 )
 def test_a_call_that_does_not_fit_is_refused_in_a_line(undrift, worn, words, wanted):

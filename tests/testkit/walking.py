@@ -1,4 +1,4 @@
-"""A person who stands, walks or squats with a sensor on a segment: closed-form courses, no equation of the estimator.
+"""A person who stands, walks, bows or squats with a sensor on a segment: closed-form courses, no equation of the estimator.
 
 Walking is a pendulum upside down: over the standing leg the trunk is highest and slowest. With a phase that counts strides::
 
@@ -88,6 +88,17 @@ def walk(rng, place="lower-back", *, stand_s=4.0, walk_s=9.0, bouts=4, q_ab=(1.0
     ) / (rate * fine)
     position += np.stack((-side * np.sin(course), side * np.cos(course), -height * np.cos(2.0 * phase)), axis=1)
     return _record(t, (roll, pitch, yaw), position, rng, q_ab, fine)
+
+
+def bow(rng, *, times=4, q_ab=(1.0, 0.0, 0.0, 0.0), rate=100.0):
+    """Return a recording of somebody who stands still and then bows some times."""
+    fine = 10
+    t = np.arange(round((6.0 + 4.0 * times + 3.0) * rate) * fine) / (rate * fine)
+    gone = sum(_smooth_rise(t, 6.0 + 4.0 * k, 1.3) - _smooth_rise(t, 7.8 + 4.0 * k, 1.3) for k in range(times))
+    pitch = gone * rng.uniform(35.0, 60.0) * DEGREE + _sway(rng, t, 0.4 * DEGREE)
+    roll = gone * rng.normal(0.0, 2.0) * DEGREE + _sway(rng, t, 0.3 * DEGREE)
+    position = 0.3 * np.stack((np.sin(pitch), np.sin(roll), np.cos(pitch)), axis=1)
+    return _record(t, (roll, pitch, gone * rng.normal(0.0, 2.0) * DEGREE), position, rng, q_ab, fine, rate)
 
 
 def _smoothed(x, width):

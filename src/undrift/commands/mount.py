@@ -11,7 +11,7 @@ from undrift.commands.files import Opening, TableUse, calibration_findings, chec
 from undrift.errors import InputError
 from undrift.io.store import read_calibration, write_calibration
 from undrift.model import BodyMounting
-from undrift.mounting import Worn, check_turned, find_mounting, nearest_side, statement_of
+from undrift.mounting import Movement, Worn, check_turned, find_mounting, nearest_side, statement_of
 from undrift.report import Report, Table
 from undrift.screen import progress
 from undrift.units import RADIAN_PER_DEGREE
@@ -20,6 +20,7 @@ from undrift.units import RADIAN_PER_DEGREE
 def mount(
     *records: Files,
     worn: Worn,
+    movement: Movement = "walk",
     calibration: Path | None = None,
     output: OptionalOutput = None,
     opening: Opening = Opening(),
@@ -33,6 +34,8 @@ def mount(
         times.
     worn : str
         Body segment on which the device is worn.
+    movement : str
+        Movement that determines forward: walk, or bow (the trunk leans forward).
     calibration : Path or None
         calibration.json of the device, for a raw recording, and to keep the mounting in.
     output : Path or None
@@ -50,7 +53,7 @@ def mount(
         with named_columns(path):
             readings.append(corrected(opening.like(model, calibration).read(path), path, model, TableUse())[0])
     progress("finding steps and stances", 0.5)
-    fit = find_mounting(readings, worn)
+    fit = find_mounting(readings, worn, movement)
     title, findings = f"Mounting by {', '.join(path.name for path in records)}", fit.verdict.findings
     mounting = fit.mounting
     if mounting is None:
