@@ -12,10 +12,12 @@ import pytest
 
 from testkit.column_maps import column_map
 from testkit.data import data_path, show
+from testkit.rest_blocks import rest_blocks
 from undrift.drift.temperature import (
     Temperature,
     check_span,
     default_smooth_s,
+    estimate_lag,
     trusted_temperature,
     without_lag,
     without_lag_smooth,
@@ -232,3 +234,59 @@ def test_the_smoothing_balances_noise_and_the_lag_left():
     assert default_smooth_s(80.0, column(time, time, 0.0)) == pytest.approx(4.0)  # a twentieth
     assert default_smooth_s(80.0, column(time, 10.0 * time, 5.0)) == pytest.approx(40.0)  # a half
     assert default_smooth_s(80.0, column(time, time, 0.02)) == pytest.approx(np.sqrt(0.02 * 80.0 * 60.0))
+
+
+STEP_S = 10.0
+
+
+def blocks(temp, *, lag_s=30.0, noise=0.005, loop=0.0, seed=0):
+    """Return blocks of a board at ``temp``, read by a thermometer that lags, of a gyro with offset 0.07 T + 0.002 T^2."""
+    read = np.empty_like(temp)
+    read[0] = temp[0]
+    for k in range(1, len(temp)):
+        read[k] = temp[k] + (read[k - 1] - temp[k]) * np.exp(-STEP_S / lag_s)
+    slope = (temp - read) / lag_s
+    x = temp - 25.0
+    true = np.column_stack((0.07 * x + 0.002 * x**2, -0.05 * x, 0.02 * x)) + loop * -np.sign(np.gradient(temp))[:, None]
+    gyro = true + np.random.default_rng(seed).normal(0.0, noise, (len(temp), 3))
+    return rest_blocks(read, gyro, noise=noise, power_on_s=np.full(len(temp), 5000.0), ramp_c_per_min=60.0 * slope)
+
+
+def there_and_back(c_per_min, low=20.0, high=40.0):
+    n = round((high - low) / c_per_min * 60.0 / STEP_S)
+    return np.concatenate((np.linspace(low, high, n), np.linspace(high, low, n)))
+
+
+def two_ramps(**kwargs):
+    return blocks(np.concatenate((there_and_back(0.5), there_and_back(3.0))), **kwargs)
+
+
+@pytest.mark.parametrize("loop", [0.0, 0.05])
+def test_loop_that_ignores_speed_is_not_taken_for_lag(loop):
+    lag = estimate_lag(two_ramps(loop=loop))
+    assert abs(lag.lag_s - 30.0) < 4.0 * lag.uncertainty_s
+    assert lag.uncertainty_s < 2.0
+
+
+def test_the_uncertainty_is_what_the_estimates_scatter():
+    results = [estimate_lag(two_ramps(seed=seed, noise=0.02)) for seed in range(40)]
+    scatter = float(np.std([f.lag_s for f in results]))
+    stated = float(np.mean([f.uncertainty_s for f in results]))
+    assert 0.6 < scatter / stated < 1.5  # 40 draws know a standard deviation to 11 %; neighbours count as independent
+
+
+def test_without_lag_none_is_found():
+    lag = estimate_lag(two_ramps(lag_s=1e-3))
+    assert lag.lag_s < 4.0 * lag.uncertainty_s
+
+
+@pytest.mark.parametrize(
+    "temp",
+    [
+        10.0 + 18.0 * (1.0 - np.exp(-STEP_S * np.arange(200) / 500.0)),  # a warm-up
+        there_and_back(1.0),  # one speed: a lag looks like hysteresis
+    ],
+)
+def test_what_does_not_determine_a_lag_gives_none(temp):
+    lag = estimate_lag(blocks(temp, lag_s=3.0))
+    assert (lag.lag_s, lag.uncertainty_s) == (0.0, np.inf)

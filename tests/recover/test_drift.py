@@ -13,13 +13,18 @@ from testkit.simulated_device import motion_of
 from undrift.drift.observe import observe_rests
 from undrift.drift.offset import StaticSettings, fit_static
 from undrift.drift.rates import DynamicFit, fit_dynamic, fit_scale, prepared
+from undrift.drift.temperature import (
+    estimate_lag,
+    trusted_temperature,
+)
 from undrift.record import Record, Session, Still
 from undrift.sim.device.effects import Thermometer
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.device.presets import random_device
+from undrift.sim.device.presets import preset, random_device
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_calibration, true_tables
-from undrift.units import RADIAN_PER_DEGREE
+from undrift.sim.motion.motion import Motion
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 # ---- Offset over temperature of simulated devices: does the table find it, and do its intervals hold it?
 
@@ -231,3 +236,53 @@ def test_intervals_of_matrix_and_dynamic_drift_hold_the_truth(devices: int) -> N
     assert dynamic_share > 0.90
     # Wide, yet not twice too wide: then 95 of 100 would lie within one standard uncertainty.
     assert float(np.mean(np.abs(z_scale) < 1.0)) < 0.95
+
+
+# ---- A simulated ENC-03J beside a thermometer that trails: its lag is found
+
+RATE_HZ = 10.0
+LOW, HIGH = 20.0, 40.0
+SLOW, FAST = 0.5, 3.0  # degC/min
+
+
+def at_rest(n):
+    still, ones = np.zeros((n, 3)), np.ones((n, 1))
+    return Motion(
+        time=np.arange(n) / RATE_HZ,
+        q_nb=ones * [1.0, 0.0, 0.0, 0.0],
+        rate_b=still,
+        mean_rate_b=still,
+        force_b=ones * [0.0, 0.0, STANDARD_GRAVITY],
+        gravity_m_s2=STANDARD_GRAVITY,
+        moving=np.zeros(n),
+    )
+
+
+def device(lag_s):
+    model = preset("enc03j_3031")
+    return replace(
+        model,
+        gyro=replace(model.gyro, low_pass=None, warm_up=None),
+        accel=replace(model.accel, low_pass=None, lever_arm=None),
+        thermometer=replace(model.thermometer, lag_s=lag_s, self_heating_c=0.0),
+    )
+
+
+def ramped(lag_s, ramp, seed):
+    """Return a session of one ramp up and down, degC/min."""
+    half = round(60.0 * (HIGH - LOW) / ramp * RATE_HZ)
+    temp = np.concatenate((np.linspace(LOW, HIGH, half), np.linspace(HIGH, LOW, half)))
+    record = simulate_device(device(lag_s), at_rest(len(temp)), rng=np.random.default_rng(seed), temp_c=temp).record
+    rest = (Still(start=0, stop=len(temp)),)
+    return Session(kind="thermal", serial="A", gravity_m_s2=STANDARD_GRAVITY, records=(record,), stills=rest)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lag_s", [10.0, 20.0, 40.0, 80.0])
+def test_lag_is_found(lag_s):
+    sessions = ramped(lag_s, SLOW, 1), ramped(lag_s, FAST, 2)
+    temperatures = [[trusted_temperature(session, 0).temp_c] for session in sessions]
+    lag = estimate_lag(observe_rests(sessions, temperatures=temperatures))
+    show(f"lag {lag_s:g} s: estimated, s", f"{lag.lag_s:.1f} +- {lag.uncertainty_s:.1f}", "4 standard deviations + 1")
+    assert np.isfinite(lag.uncertainty_s)
+    assert abs(lag.lag_s - lag_s) <= 4.0 * lag.uncertainty_s + 1.0

@@ -98,7 +98,7 @@ def bow(rng, *, times=4, q_ab=(1.0, 0.0, 0.0, 0.0), rate=100.0):
     pitch = gone * rng.uniform(35.0, 60.0) * DEGREE + _sway(rng, t, 0.4 * DEGREE)
     roll = gone * rng.normal(0.0, 2.0) * DEGREE + _sway(rng, t, 0.3 * DEGREE)
     position = 0.3 * np.stack((np.sin(pitch), np.sin(roll), np.cos(pitch)), axis=1)
-    return _record(t, (roll, pitch, gone * rng.normal(0.0, 2.0) * DEGREE), position, rng, q_ab, fine, rate)
+    return _record(t, (roll, pitch, gone * rng.normal(0.0, 2.0) * DEGREE), position, rng, q_ab, fine)
 
 
 def _smoothed(x, width):

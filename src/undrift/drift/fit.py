@@ -1,6 +1,6 @@
 """Fit tuning tables to thermal sessions and a calibration (Figure 2 of the note).
 
-    temperature     checked and smoothed, without the lag that the session states (``thermometer_lag_s``)
+    temperature     checked and smoothed, without the lag that the session states or ramps show
     static drift    absolute offset(T) from rests, raw unit                        blocks 2 to 5
     matrix          M(T) from rate steps at two soaks or more
     dynamic drift   e(w, T) that remains, from rate steps at three soaks or more   blocks 6 to 9
@@ -27,6 +27,7 @@ from undrift.drift.accel import AccelDriftFit, fit_accel_drift
 from undrift.drift.observe import RateSteps, RestBlocks, not_observable
 from undrift.drift.offset import StaticFit, StaticSettings, felt_by_gyro, fit_static
 from undrift.drift.rates import DynamicFit, ScaleFit, fit_dynamic, fit_scale, prepared
+from undrift.drift.temperature import LagFit
 from undrift.errors import InputError, NotObservable, check_choices
 from undrift.findings import Finding
 from undrift.fit.gls import determined
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
 
 RANGE_C = (18.0, 75.0)  # the note's
 STEP_C = 0.5
+SURE_LAG = 3.0  # standard uncertainties: a smaller lag is not subtracted
 OUTLYING = 5.0 * 1.4826  # median absolute deviations of single readings that a table reaches beyond their smooth course
 INPUTS_BEFORE = "drift_inputs_before"  # setting: number of inputs of the calibration before a thermal fit
 
@@ -94,6 +96,8 @@ class DriftFit(Shown):
         Dynamic drift, or None if it is not wanted or not observable.
     accel : AccelDriftFit or None
         Accelerometers from poses, or None without poses at two temperatures.
+    lag : LagFit or None
+        Lag of the thermometer by ramps at two speeds, or None if the session states it.
     rests : RestBlocks
         Data of the static tables.
     steps : RateSteps
@@ -107,6 +111,7 @@ class DriftFit(Shown):
     scale: ScaleFit | None
     dynamic: DynamicFit | None
     accel: AccelDriftFit | None
+    lag: LagFit | None
     rests: RestBlocks
     steps: RateSteps
     verdict: Verdict
@@ -175,24 +180,32 @@ def fit_drift(
     device = observe.nominal_models(sessions) if calibration is None else judge.without_tables(calibration)
     sessions = [observe.in_units_of(session, device) for session in sessions]
 
+    def observed(course: observe.Temperatures) -> tuple[RestBlocks, RateSteps]:
+        if rate_b is not None:
+            return observe.observe_means(sessions[0].records[0], rate_b, course[0][0])
+        rests = observe.observe_rests(sessions, temperatures=course)
+        return rests, observe.observe_steps(sessions, temperatures=course)
+
     report("smoothing the temperature", 0.0)
     means = rate_b is not None
     trusted = [[thermometer.trusted_temperature(s, k, means=means) for k in range(len(s.records))] for s in sessions]
     temperatures = [temperature for session_temperatures in trusted for temperature in session_temperatures]
     thermometer.check_span(temperatures)
     report("gathering rests and turns", 0.15)
-    lag_s, smooth_s = max(session.sensitivity.thermometer_lag_s for session in sessions), 0.0
+    course = [[temperature.temp_c for temperature in session_temperatures] for session_temperatures in trusted]
+    rests, steps = observed(course)
+    lag, lag_s, smooth_s = None, max(session.sensitivity.thermometer_lag_s for session in sessions), 0.0
+    if lag_s == 0.0 and any(temperature.source == "column" for temperature in temperatures):
+        lag = thermometer.estimate_lag(rests)
+        lag_s = lag.lag_s if lag.lag_s > SURE_LAG * lag.uncertainty_s else 0.0
     if lag_s > 0.0:
         smooth_s = max(thermometer.default_smooth_s(lag_s, temperature) for temperature in temperatures)
-    course = [
-        [thermometer.without_lag_smooth(temperature, lag_s=lag_s) for temperature in session_temperatures]
-        for session_temperatures in trusted
-    ]
-    if rate_b is not None:
-        rests, steps = observe.observe_means(sessions[0].records[0], rate_b, course[0][0])
-    else:
-        rests = observe.observe_rests(sessions, temperatures=course)
-        steps = observe.observe_steps(sessions, temperatures=course)
+        rests, steps = observed(
+            [
+                [thermometer.without_lag_smooth(each, lag_s=lag_s) for each in temperatures_of]
+                for temperatures_of in trusted
+            ]
+        )
     verdict = judge.rests_verdict(sessions, rests, steps)
     report("fitting offsets over temperature", 0.4)
     # single readings, which ``correct`` looks up, reach beyond the smooth course
@@ -201,7 +214,10 @@ def fit_drift(
     seen_c = np.concatenate((rests.temp_c, steps.temp_c))
     nodes = table_nodes(np.array([seen_c.min() - margin_c, seen_c.max() + margin_c]), settings.step_c)
     accel, accel_verdict = _accelerometers(rests, device, nodes)
-    lag_uncertainty_s = 0.0 if lag_s > 0.0 else settings.static.lag_uncertainty_s
+    left_s = 0.0 if lag_s > 0.0 else np.inf
+    if lag is not None:
+        left_s = np.hypot(lag.uncertainty_s, lag.lag_s - lag_s)
+    lag_uncertainty_s = min(float(left_s), settings.static.lag_uncertainty_s)
     static_settings = replace(settings.static, accel=accel is None, lag_uncertainty_s=lag_uncertainty_s)
     static = fit_static(rests, nodes=nodes, calibration=device, settings=static_settings)
     judge.check_sessions(static, device)
@@ -211,6 +227,8 @@ def fit_drift(
     scale, dynamic, rates_verdict = _fit_rates(steps, device, static, settings.tables)
     verdict = verdict.also(judge.turns_verdict(scale, device)).also(rates_verdict)
     verdict = verdict.also(accel_verdict).also(judge.static_verdict(static, device, temperatures))
+    if lag is not None:
+        verdict = verdict.also(judge.lag_verdict(lag))
     scale_table = scale.drift if scale is not None and "scale" in settings.tables else None
     tables = replace(
         _tables(static.table, scale_table, None if dynamic is None else dynamic.drift, accel),
@@ -223,6 +241,7 @@ def fit_drift(
         scale=scale,
         dynamic=dynamic,
         accel=accel,
+        lag=lag,
         rests=rests,
         steps=steps,
         verdict=verdict if calibration is not None else device.verdict.also(verdict),

@@ -14,6 +14,14 @@ A thermometer lags behind the sensors, T_m' = (T - T_m) / tau. The lag is subtra
 
 The lead makes the noise of a single reading tau / tau_f times as large. It does not change the slow part of the noise, and only
 this part adds up to an angle.
+
+The gyroscopes themselves determine the time constant. A block of rest at reading T_m and slope T_m' was at T = T_m + tau T_m'.
+Per axis::
+
+    y = f(T_m + tau T_m') + m_pose + h c + w exp(-t / t_w)      polynomial f, c = +1 cooling, -1 warming, t since power-on
+
+tau minimises the residuals of all axes, each relative to its variance, with f, m, h, w fitted at each tau (Gauss-Newton). A
+hysteresis h does not depend on the speed of the ramp, but a lag does, so ramps of two speeds separate them.
 """
 
 import math
@@ -24,6 +32,8 @@ from typing import Literal
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, runs
+from undrift.drift.observe import RestBlocks
+from undrift.drift.offset import cooling
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, finding, told_apart
 from undrift.record import Session, Still, Turn
@@ -44,6 +54,13 @@ SAME_STEP = 0.02  # in steps: largest distance of a column from whole steps
 # ---- and of the lag
 RAMP_C_PER_MIN = 1.0  # slope at which noise and remaining lag are balanced
 AT_ONCE = 1e-300  # s: a low-pass so fast that it is not there, for no lag
+LONGEST_LAG_S = 300.0
+NODE_C, MOST_KNOTS = 5.0, 16  # span of a power of the polynomial, and most powers
+FEWEST = 24  # blocks
+MOVING_C_PER_MIN = 0.1
+WARM_UP_S = 600.0  # time constant of the power-on transient that is fitted with the lag
+LEAST_OWN = 0.1  # share of the squared slopes that temperature and direction must leave unexplained: a second speed
+SEARCH_S = 5.0  # step of the search for the lag
 
 Source = Literal["column", "set-points", "means"]  # means: rows that are means over set-points
 
@@ -248,3 +265,67 @@ def default_smooth_s(lag_s: float, temperature: Temperature) -> float:
     """
     balanced_s = math.sqrt(temperature.noise_c * lag_s / (RAMP_C_PER_MIN / 60.0))
     return min(0.5 * lag_s, max(0.05 * lag_s, balanced_s, float(np.median(np.diff(temperature.time)))))
+
+
+# ---- estimate a lag
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LagFit:
+    """A thermometer's lag."""
+
+    lag_s: float = 0.0  # time constant, s, or 0 if not observable
+    uncertainty_s: float = math.inf  # standard uncertainty, s, or infinity if not observable
+
+
+def estimate_lag(blocks: RestBlocks) -> LagFit:
+    """Return the time constant for which the gyroscopes' readings at equal temperature agree for all ramps."""
+    direction = cooling(blocks)
+    usable = np.isfinite(blocks.temp_c) & np.isfinite(blocks.ramp_c_per_min) & np.isfinite(blocks.gyro).all(axis=1)
+    settled = usable & (np.abs(direction) > 0.99)  # after a turn a hysteresis is still changing
+    rows = settled if settled.sum() >= FEWEST else usable
+    blocks, direction = blocks.taken(rows), direction[rows]
+    temp_c, slope = blocks.temp_c, blocks.ramp_c_per_min / 60.0
+    if (np.abs(blocks.ramp_c_per_min) > MOVING_C_PER_MIN).sum() < FEWEST or not np.ptp(blocks.gyro, axis=0).all():
+        return LagFit()
+    readings = (blocks.gyro - blocks.gyro.mean(axis=0)) / np.ptp(blocks.gyro, axis=0)
+    pose = blocks.pose[:, None] == np.unique(blocks.pose)[1:]
+    effects = np.column_stack((pose, direction, np.exp(-blocks.power_on_s / WARM_UP_S)))
+    own = _remove_effects(slope[:, None], _curve(temp_c), effects)
+    if (own**2).sum() < LEAST_OWN * (slope**2).sum():
+        return LagFit()
+
+    def residual(lag_s: float) -> FloatArray:
+        return _remove_effects(readings, _curve(temp_c + lag_s * slope), effects)
+
+    search = np.arange(0.0, LONGEST_LAG_S, SEARCH_S)
+    lag = float(search[np.argmin([np.log((residual(s) ** 2).mean(axis=0)).sum() for s in search])])
+    for _ in range(3):
+        left = residual(lag)
+        weight = 1.0 / (left**2).mean(axis=0)
+        change = residual(lag - 0.5) - residual(lag + 0.5)  # minus the derivative, per s
+        information = float((weight * change**2).sum())
+        lag += float((weight * change * left).sum()) / information
+    correlated = len(left) / _independent(left)
+    return LagFit(lag_s=max(lag, 0.0), uncertainty_s=math.sqrt(correlated / information))
+
+
+def _curve(temp_c: FloatArray) -> FloatArray:
+    """Return polynomials over the temperatures (n,), with about one degree of freedom for 5 K, (n, k)."""
+    low, span = float(temp_c.min()), float(np.ptp(temp_c)) + 1e-9
+    degree = 2 + int(np.clip(round(span / NODE_C), 1, MOST_KNOTS))
+    return np.polynomial.chebyshev.chebvander(2.0 * (temp_c - low) / span - 1.0, degree)
+
+
+def _remove_effects(values: FloatArray, *effects: FloatArray) -> FloatArray:
+    """Return the residuals of values (n, k) after a least-squares fit of effects (n, .)."""
+    q, r = np.linalg.qr(np.hstack(effects))
+    q = q[:, np.abs(np.diag(r)) > 1e-9 * np.abs(r).max()]
+    return np.asarray(values - q @ (q.T @ values))
+
+
+def _independent(residual: FloatArray) -> float:
+    """Return the number of independent blocks equivalent to the residuals, from the correlation of neighbours."""
+    rho = float((residual[:-1] * residual[1:]).sum() / max(float((residual**2).sum()), 1e-300))
+    rho = min(max(rho, 0.0), 0.99)
+    return max(len(residual) * (1.0 - rho) / (1.0 + rho), 4.0)

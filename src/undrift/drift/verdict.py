@@ -20,10 +20,10 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.plausibility import check_axis_order
-from undrift.drift.observe import RateSteps, RestBlocks
+from undrift.drift.observe import RateSteps, RestBlocks, not_observable
 from undrift.drift.offset import StaticFit, TriadDrift, specific_force, split_by
 from undrift.drift.rates import ScaleFit
-from undrift.drift.temperature import Temperature
+from undrift.drift.temperature import LagFit, Temperature
 from undrift.errors import Implausible
 from undrift.findings import finding, told_apart
 from undrift.model import Calibration, TriadModel, Verdict, level_of
@@ -181,6 +181,13 @@ def _guess_unit(reading: FloatArray, constant: FloatArray) -> str:
 
 
 # ---- what the tables are worth
+
+
+def lag_verdict(lag: LagFit) -> Verdict:
+    """Return a finding if the lag is not observable."""
+    action = "Record ramps up and down at two speeds, for example 0.5 and 3 degC/min."
+    missing = not_observable("info", "Thermometer lag", "it is not separate from hysteresis.", action)
+    return Verdict() if np.isfinite(lag.uncertainty_s) else Verdict.of(missing)
 
 
 def rests_verdict(sessions: Sequence[Session], rests: RestBlocks, steps: RateSteps) -> Verdict:
