@@ -101,7 +101,7 @@ def above(
 
 
 def two_digits(value: float) -> str:
-    """Return a number with two significant digits, and from 100 on without an exponent."""
+    """Return a number with two significant digits, or from 100 on as a whole number."""
     return f"{value:.2g}" if value < 99.5 else f"{value:.0f}"
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from testkit.findings import only
+from undrift.calibration.calibrate import calibrate
 from undrift.calibration.plausibility import axis_vectors, nearest_signed_permutation
 from undrift.calibration.rate_table import (
     check_dwells,
@@ -15,6 +16,9 @@ from undrift.calibration.table import DwellMeans, dwell_means, imposed_rates, sp
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.programme import rate_grid
 from undrift.record import Record, Turn
+from undrift.sim.device.presets import random_device
+from undrift.sim.motion.bench import BenchSettings
+from undrift.sim.sessions import simulate_session
 from undrift.units import EARTH_RATE
 
 DPS = np.pi / 180.0
@@ -391,3 +395,11 @@ def test_dwell_with_a_false_statement_is_refused_by_number(change, turns, rested
     with pytest.raises(Implausible) as caught:
         checked(dwells, rests if rested else None, numbers=range(21, 33))
     assert caught.value.turns == tuple(turn + 20 for turn in turns)
+
+
+@pytest.mark.parametrize(("dwell_s", "named"), [(6.0, False), (3.0, True)])
+def test_fast_dwells_shorter_than_a_turn_are_named(dwell_s, named):
+    rng = np.random.default_rng(3)
+    settings = BenchSettings(turn_rates=(30.0 * DPS, 90.0 * DPS), dwell_s=dwell_s)
+    calibration = calibrate(simulate_session("bench", random_device(rng), rng=rng, settings=settings))
+    assert ("rate_table.partial_turns" in [item.code for item in calibration.verdict.findings]) == named

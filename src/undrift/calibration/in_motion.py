@@ -23,7 +23,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray, bridged
 from undrift.calibration.plausibility import check_own_scale
-from undrift.calibration.reference import scale_keeps_prior
+from undrift.calibration.reference import uncertain_scale
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.carried import MEAN_S, CarriedMeans
@@ -40,8 +40,8 @@ BRIDGED_S = 0.05  # longest gap over which a line is near enough to the readings
 STAGES_S = (15.0, 15.0, 40.0, 40.0, 300.0, 300.0, 300.0, 300.0, 300.0)
 # rad/s: from rest to motion, from one recording to another, and zero-rate output of a raw device. Assumed.
 MOVED, DAILY, RAW_RATE = 0.02 * RADIAN_PER_DEGREE, 0.1 * RADIAN_PER_DEGREE, 1.0 * RADIAN_PER_DEGREE
-# Ratio of the actual errors to those of the equations, of simulated devices. That of gyroscopes is 1.0, and 0.6 to 0.9 for ten real
-# trials against fits to their optics.
+# Ratio of the actual errors of simulated devices to the errors that the equations state. For gyroscopes it is 1.0, and 0.6 to 0.9
+# in ten real trials against fits to their optics.
 WIDENED_ACCEL, WIDENED_OFFSET = 1.2, 1.5
 SCALES = np.array([0, 4, 8])  # places of the scale factors among the elements of a matrix
 QUIET_FLOORS = 3.5  # spread of a short rest, over that of the quietest window. Assumed.
@@ -371,7 +371,7 @@ def _findings(x: FloatArray, covariance: FloatArray) -> Iterator[Finding]:
     for triad, first in (("gyroscope", 0), ("accelerometer", 9)):
         spread = np.sqrt(np.diag(covariance))[first + SCALES]
         if axes := tuple("xyz"[k] for k in np.flatnonzero(100.0 * spread > UNCERTAIN_PERCENT[0])):
-            yield scale_keeps_prior(triad, axes, float(spread.max()), ADVICE[triad])
+            yield uncertain_scale(triad, axes, float(spread.max()), ADVICE[triad])
         if (deviation := float(np.abs(1.0 / x[first + SCALES] - 1.0).max())) > SCALE_LIMIT:
             yield finding(
                 "motion.scale",

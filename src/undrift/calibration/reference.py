@@ -442,7 +442,7 @@ def _findings(model: TriadModel, nominal: FloatArray, rests: Sequence[FloatArray
     if near_prior.any():
         axes = tuple(axis for axis, keeps in zip("xyz", near_prior, strict=True) if keeps)
         advice = "Also record turns about these axes of the device."
-        yield scale_keeps_prior("gyroscope", axes, MATRIX_PRIOR, advice)
+        yield uncertain_scale("gyroscope", axes, MATRIX_PRIOR, advice)
     else:
         yield from uncertain("The gyroscope matrix", 100.0 * float(spread.max()), WANTED_PERCENT, "%", RECORD_LONGER)
     spread_dps = float(np.std(rests, axis=0, ddof=1).max() * size / RADIAN_PER_DEGREE) if len(rests) > 1 else 0.0
@@ -457,7 +457,7 @@ def _findings(model: TriadModel, nominal: FloatArray, rests: Sequence[FloatArray
         )
 
 
-def scale_keeps_prior(triad: str, axes: tuple[str, ...], uncertainty: float, action: str) -> Finding:
+def uncertain_scale(triad: str, axes: tuple[str, ...], uncertainty: float, action: str) -> Finding:
     """Return a finding about scale factors that the motion hardly determines, with the uncertainty that remains."""
     percent = f"{100.0 * uncertainty:.2g} %"
     sentence = f"The motion determines the scale of the {triad} for {', '.join(axes)} only to +- {percent} (1 sigma)."

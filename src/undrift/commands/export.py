@@ -56,7 +56,7 @@ def export(
     lost = [(part,) for part in exported.not_carried]
     return Report(
         title=f"Calibration of {model.device or 'a device'} for {target}",
-        answer=f"{output.name} contains the calibration, except for the parts in the table.",
+        answer=f"{output.name} contains the {'calibration, except for the parts in the table' if lost else 'whole calibration'}.",
         tables=[Table(title="Not contained", columns=("part",), rows=lost)],
         notes=exported.notes,
         findings=calibration_findings(model),

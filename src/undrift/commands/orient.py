@@ -123,7 +123,7 @@ def _answer(orientation: Orientation) -> str:
     worst, anchor = int(np.nanargmax(limit)), 0 if orientation.still is None else orientation.still.stop - 1
     after_s = abs(orientation.time[worst] - orientation.time[anchor])
     if limit[worst] >= np.pi:
-        return f"{text} After {after_s:.0f} s it is not known."
+        return f"{text} After {after_s:.0f} s the pitch is not known."
     return f"{text} After {after_s:.0f} s it is good to {two_digits(limit[worst] / RADIAN_PER_DEGREE)} deg (95 %)."
 
 

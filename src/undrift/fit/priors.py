@@ -34,7 +34,7 @@ SCALE_FACTOR_IN_COUNTS = 0.2
 # largest difference from the nominal scale factor in data sheets, relative. Beyond it a finding asks for the unit.
 SCALE_LIMIT = 0.05
 
-# cross-axis term of either triad as read, relative: data sheets of MPU-6050 and ICM-20948 state 2 %, two standard deviations.
+# cross-axis term before a calibration, relative: data sheets of MPU-6050 and ICM-20948 state 2 %, taken as two standard deviations.
 CROSS_AXIS = 0.01
 
 # ---- rate tables

@@ -129,7 +129,7 @@ def _for_all(outcome: StudyOutcome) -> Table:
             rows.append((answer.target_deg, name, answer.session or "none", *counts))
     note = GOOD_ENOUGH + _assumed(outcome)
     if outcome.study.shipped:
-        note += " Fits that come with undrift were used where they exist; those of device 0 were made again and agree."
+        note += " Fits that come with undrift were used where they exist. One of them was made again for comparison, and agrees."
     columns = ("target (deg)", "task", "cheapest session", "other group below", "of", "confirmed")
     title = "The cheapest session that is good enough"
     return Table(title=title, columns=columns, rows=rows, form="g", note=note)

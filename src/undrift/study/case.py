@@ -158,7 +158,7 @@ def simulate_worn(
 
 
 def make_case(device: DeviceModel, performed: Task | RecordedTask, worn: Simulated, *, aligned: bool = True) -> Case:
-    """Return the case of a device that differs from the simulated one in its low-passes only."""
+    """Return the case of a device. Only its low-pass filters may differ from those of the simulated device."""
     start, stop = (round(moment * SAMPLE_RATE_HZ) for moment in performed.moving_s)
     pitch = _true_pitch(performed)
     delayed = _delayed(pitch, pitch_delay_s(device) * SAMPLE_RATE_HZ)

@@ -208,7 +208,7 @@ _NAME_UP = "Name the axis of the laboratory that points up (`reference_up`, or u
 
 
 def check_vertical(angle: float, text: str) -> tuple[Finding, ...]:
-    """Return a finding if the verticals of the device and of the reference clearly differ by an angle, rad."""
+    """Return a finding if a large angle, rad, lies between the verticals of the device and of the reference."""
     if not angle > TILTED:
         return ()
     sentence = f"Gravity is {angle / RADIAN_PER_DEGREE:.0f} deg off the vertical of the reference: {text}."

@@ -352,8 +352,10 @@ def validate_trial(
     after = (reference.time >= stop_s) & (reference.time < stop_s + END_S)
     if not motion.rested:
         after = moving & (reference.time >= stop_s - END_S)
-        sentence = f"Without a rest, the orientation at {track[0][0]:.1f} s is from {START_S:g} s of the reference, "
-        sentence += "and end errors are from the last seconds of the motion."
+        sentence = (
+            "The recording has no rest before the motion. Therefore the reference gives the first orientation, at "
+        )
+        sentence += f"{track[0][0]:.1f} s, and end errors are from the last seconds of the motion."
         rest_findings += (finding("validate.no_rest", "info", sentence, "Record a pause at rest."),)
     compared = moving & np.isfinite(error.total)
     figures = Figures(

@@ -419,7 +419,7 @@ class LowPass(Effect):
         return out
 
     def filtered(self, x: FloatArray, step_s: float, state: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
-        """Return a filtered signal and the state (3, 2) after it. Without a state, the filter begins settled."""
+        """Return a filtered signal and the state (3, 2) after it. Without a state, the filter has settled at the first sample."""
         from undrift.sim.kernels import filter_columns
 
         pairs = zip(self.cutoff_hz.tolist(), self.quality.tolist(), strict=True)
