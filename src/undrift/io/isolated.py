@@ -2,6 +2,7 @@
 
 import os
 import pickle
+import signal
 import subprocess
 import sys
 import tempfile
@@ -25,7 +26,14 @@ def isolated(parse: Callable[..., Any], path: Path, *arguments: Any) -> Any:
     with tempfile.TemporaryDirectory() as folder:
         call, result = Path(folder) / "call", Path(folder) / "result"
         call.write_bytes(pickle.dumps((parse, path, *arguments)))
-        argv = [sys.executable, "-c", f"from {__name__} import answer; answer()", str(call), str(result)]
+        argv = [
+            sys.executable,
+            "-c",
+            f"from {__name__} import answer; answer()",
+            str(call),
+            str(result),
+            f"{limit_s:.0f}",
+        ]
         try:
             done = subprocess.run(argv, env=environment, capture_output=True, timeout=limit_s, check=False)
         except subprocess.TimeoutExpired as error:
@@ -43,7 +51,9 @@ def isolated(parse: Callable[..., Any], path: Path, *arguments: Any) -> Any:
 
 def answer() -> None:
     """Make the call of a file, and write the result or the input error to another file."""
-    call, result = map(Path, sys.argv[1:])
+    call, result = map(Path, sys.argv[1:3])
+    if hasattr(signal, "alarm"):  # the parent may be killed before its limit
+        signal.alarm(int(sys.argv[3]) + 1)
     parse, *arguments = pickle.loads(call.read_bytes())
     try:
         parsed = parse(*arguments)
