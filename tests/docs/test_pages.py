@@ -87,3 +87,11 @@ def test_every_page_is_linked_from_the_readme_or_the_index() -> None:
     linked = (ROOT / "README.md").read_text() + (DOCS / "index.md").read_text() + (DOCS / "developers.md").read_text()
     for page in DOCS.glob("*.md"):
         assert page.stem == "index" or re.search(rf"\b{page.stem}\b", linked), f"{page.name} is linked from nowhere"
+
+
+def test_every_page_of_a_contents_list_exists() -> None:
+    for page in DOCS.glob("*.md"):
+        for entries in re.findall(r"^```{toctree}\n(.*?)^```", page.read_text(), re.M | re.S):
+            names = [line.rpartition("<")[2].rstrip(">") for line in entries.splitlines() if line and line[0] != ":"]
+            missing = [name for name in names if not (DOCS / f"{name}.md").exists() and "_generated" not in name]
+            assert missing == [], page.name
