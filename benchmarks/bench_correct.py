@@ -189,10 +189,10 @@ def _tables(record: Record) -> list[Figure]:
 
 
 def _c_tables(library: ctypes.CDLL, record: Record, c: Calibration, w: np.ndarray, a: np.ndarray):
-    from undrift.correction.plan import LookupTable, TableAxis, constants_of, line_cells, plane_cells
+    from undrift.correction.plan import LookupTable, constants_of, line_cells, plane_cells, searched
 
     offsets = np.hstack((c.drift.static.gyro_offset, c.drift.static.accel_offset))
-    _, line = line_cells(LookupTable(temp=TableAxis(nodes=TEMPS), values=offsets))
+    _, line = line_cells(LookupTable(temp=searched(TEMPS), values=offsets))
     _, _, plane = plane_cells(constants_of(c, "gyro").error_table)
     arrays = [
         record.gyro,

@@ -22,7 +22,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias, TypeVar
+from typing import NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -30,13 +30,11 @@ from undrift.arrays import BoolArray, FloatArray, interpolated
 from undrift.base import workers
 from undrift.drift.temperature import NO_READING, without_lag
 from undrift.errors import InputError
-from undrift.model import Calibration, DynamicDrift, Sensor, TriadModel
+from undrift.kernels.tables import Grid, Tables
+from undrift.model import MATRIX_NAMES, OFFSET_NAMES, Calibration, Sensor, TriadModel
 from undrift.record import ForceUncertainty, Record, TemperatureSensitivity
 from undrift.segments import NOT_TURNING
 from undrift.units import STANDARD_GRAVITY, Quantity, is_physical, si_factor
-
-if TYPE_CHECKING:
-    from undrift.kernels.correct import Grid, Tables
 
 NOTHING = np.empty(0)
 Span: TypeAlias = tuple[float, float]  # least and greatest
@@ -50,71 +48,45 @@ T = TypeVar("T")
 # ---- the constants of one triad, and its tables
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TableAxis:
-    """One axis of a table."""
+def searched(nodes: FloatArray) -> Grid:
+    """Return the grid of nodes whose cells are found by bisection."""
+    return Grid(np.array(nodes), float(nodes[0]), 0.0, len(nodes) - 1)
 
-    nodes: FloatArray  # (n,), increasing
-    even: bool = False  # whether the nodes are known to be evenly spaced
 
-    @property
-    def cells(self) -> int:
-        return len(self.nodes) - 1
-
-    @property
-    def start(self) -> float:
-        return float(self.nodes[0])
-
-    @property
-    def stop(self) -> float:
-        return float(self.nodes[-1])
-
-    @property
-    def inverse(self) -> FloatArray:
-        """One over the width of each cell, shape (cells,), or of all, shape (1,), if they are even."""
-        return np.array([self.cells / (self.stop - self.start)]) if self.even else 1.0 / np.diff(self.nodes)
-
-    @property
-    def grid(self) -> "Grid":
-        """Method of finding the cell: one multiplication if the nodes are even, otherwise bisection."""
-        from undrift.kernels.correct import Grid
-
-        return Grid(np.array(self.nodes), self.start, float(self.inverse[0]) if self.even else 0.0, self.cells)
-
-    def evened(self) -> "TableAxis":
-        """Return the even grid that contains all nodes, or the nodes if that grid would be more than twice as long."""
-        span, most = self.stop - self.start, 2 * len(self.nodes) + 8
-        cells = span / np.diff(self.nodes).min()
-        for parts in (1, 2, 3):  # the smallest gap may itself be two or three steps
-            count = round(float(cells) * parts)
-            if count + 1 > most:
-                break
-            places = (self.nodes - self.start) * (count / span)
-            if np.abs(places - np.round(places)).max() < EVEN_WITHIN:
-                return TableAxis(nodes=np.linspace(self.nodes[0], self.nodes[-1], count + 1), even=True)
-        return TableAxis(nodes=self.nodes)
-
-    def filled(self, nodes: FloatArray, values: FloatArray) -> FloatArray:
-        """Return values (n, ...) over nodes (n,) at all nodes of the axis: the straight line between them."""
-        return values if len(self.nodes) == len(nodes) else interpolated(self.nodes, nodes, values)
+def evened(nodes: FloatArray) -> Grid:
+    """Return the even grid that contains all nodes, or the nodes if that grid would be more than twice as long."""
+    start, span, most = float(nodes[0]), float(nodes[-1] - nodes[0]), 2 * len(nodes) + 8
+    for parts in (1, 2, 3):  # the smallest gap may itself be two or three steps
+        count = round(span / float(np.diff(nodes).min()) * parts)
+        if count + 1 > most:
+            break
+        places = (nodes - start) * (count / span)
+        if np.abs(places - np.round(places)).max() < EVEN_WITHIN:
+            return Grid(np.linspace(start, float(nodes[-1]), count + 1), start, count / span, count)
+    return searched(nodes)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LookupTable:
     """Values over temperature, or over temperature and rate."""
 
-    temp: TableAxis  # temperatures, degC, or for the warm-up the time since power-on, s
-    turn_rate: TableAxis | None = None  # measured rates, rad/s, or None for a table over temperature only
+    temp: Grid  # temperatures, degC, or for the warm-up the time since power-on, s
+    turn_rate: Grid | None = None  # measured rates, rad/s, or None for a table over temperature only
     values: FloatArray  # (n, c), or (n, k, c), c values at each node
     extrapolated: BoolArray | None = None  # (n,) or (n, k), of the nodes of the fit: True if no data were near
 
     def evened(self) -> "LookupTable":
         """Return the table with its axes extended to even grids, if possible."""
-        temp, rate, values = self.temp.evened(), self.turn_rate, self.values
-        if self.turn_rate is not None:
-            rate = self.turn_rate.evened()
-            values = np.moveaxis(rate.filled(self.turn_rate.nodes, np.moveaxis(values, 1, 0)), 0, 1)
-        return replace(self, temp=temp, turn_rate=rate, values=temp.filled(self.temp.nodes, values))
+        temp, rate, values = evened(self.temp.nodes), self.turn_rate, self.values
+        if rate is not None:
+            rate = evened(rate.nodes)
+            values = np.moveaxis(_filled(self.turn_rate, rate, np.moveaxis(values, 1, 0)), 0, 1)
+        return replace(self, temp=temp, turn_rate=rate, values=_filled(self.temp, temp, values))
+
+
+def _filled(grid: Grid | None, even: Grid, values: FloatArray) -> FloatArray:
+    """Return values (n, ...) at the nodes of a grid at all nodes of the even grid, on straight lines between them."""
+    return values if grid is None or even.cells == grid.cells else interpolated(even.nodes, grid.nodes, values)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -146,21 +118,20 @@ class Constants:
         return (max(t.temp.start for t in used), min(t.temp.stop for t in used)) if used else EVERYWHERE
 
     @cached_property
-    def cells(self) -> "Tables | None":
+    def cells(self) -> Tables | None:
         """Cells of the tables over temperature, with an empty array for a missing table, or None without a table."""
-        from undrift.kernels.correct import Grid, Tables
-
         if not self.tables:
             return None
         unused = Grid(np.zeros(2), 0.0, 0.0, 1)
-        lines = (self.offset_table, self.matrix_table)
-        offset, matrix = ((unused, NOTHING) if table is None else line_cells(table) for table in lines)
-        plane = self.error_table
-        error = (unused, unused, NOTHING) if plane is None else plane_cells(plane)
-        return Tables(offset[1], offset[0], matrix[1], matrix[0], error[2], error[0], error[1])
+        offset, matrix = (
+            (unused, NOTHING) if table is None else line_cells(table)
+            for table in (self.offset_table, self.matrix_table)
+        )
+        error = (unused, unused, NOTHING) if self.error_table is None else plane_cells(self.error_table)
+        return Tables(*offset, *matrix, *error)
 
     @cached_property
-    def warm_up(self) -> "tuple[Grid, FloatArray] | None":
+    def warm_up(self) -> tuple[Grid, FloatArray] | None:
         """Cells of the warm-up over the time since power-on."""
         return None if self.warm_up_table is None else line_cells(self.warm_up_table)
 
@@ -195,18 +166,20 @@ def constants_of(calibration: Calibration, sensor: Sensor, unit: str = "") -> Co
         matrix_table=None
         if matrices is None
         else _line(matrices.temp_c, matrices.value.reshape(-1, 9) * (factor * si), matrices.extrapolated),
-        error_table=None if errors is None else _error_table(errors),
+        error_table=None
+        if errors is None
+        else LookupTable(
+            temp=searched(errors.temp_c),
+            turn_rate=searched(errors.turn_rate),
+            values=errors.error,
+            extrapolated=errors.extrapolated,
+        ),
         warm_up_table=None if warm_up is None else _line(warm_up.power_on_s, warm_up.gyro_offset / factor),
     )
 
 
 def _line(nodes: FloatArray, values: FloatArray, extrapolated: BoolArray | None = None) -> LookupTable:
-    return LookupTable(temp=TableAxis(nodes=nodes), values=values, extrapolated=extrapolated)
-
-
-def _error_table(errors: DynamicDrift) -> LookupTable:
-    temp, rate = TableAxis(nodes=errors.temp_c), TableAxis(nodes=errors.turn_rate)
-    return LookupTable(temp=temp, turn_rate=rate, values=errors.error, extrapolated=errors.extrapolated)
+    return LookupTable(temp=searched(nodes), values=values, extrapolated=extrapolated)
 
 
 def _input_factor(model: TriadModel, unit: str, sensor: Sensor, quantity: Quantity) -> float:
@@ -258,14 +231,10 @@ def force_uncertainty(calibration: Calibration, unit: str) -> ForceUncertainty |
 
 def error_covariance(model: TriadModel) -> FloatArray:
     """Return the covariance (12, 12) of E, row by row, and of d, m/s2, of the error E f + d of a specific force."""
-    inverse, jacobian = np.linalg.inv(model.matrix), np.zeros((12, len(model.parameters)))
-    for column, name in enumerate(model.parameters):
-        kind, _, axes = name.partition("_")
-        if kind == "m":
-            jacobian[3 * "xyz".index(axes[0]) :, column][:3] = inverse["xyz".index(axes[1])]
-        elif kind == "offset":
-            jacobian[9:, column] = -model.matrix[:, "xyz".index(axes)] * si_factor(model.unit_out, "accel")
-    return np.asarray(jacobian @ model.covariance @ jacobian.T)
+    jacobian = np.zeros((12, 12))  # E = dM M^-1 and d = -M do
+    jacobian[:9, :9] = np.kron(np.eye(3), model.forward_matrix.T)
+    jacobian[9:, 9:] = -model.matrix * si_factor(model.unit_out, "accel")
+    return np.asarray(jacobian @ model.covariance_of((*MATRIX_NAMES, *OFFSET_NAMES)) @ jacobian.T)
 
 
 # ---- the constants as the kernels take them
@@ -296,19 +265,19 @@ def has_tables(plans: Plans) -> bool:
     return any(plan is not None and plan.tables for plan in plans)
 
 
-def line_cells(table: LookupTable) -> "tuple[Grid, FloatArray]":
+def line_cells(table: LookupTable) -> tuple[Grid, FloatArray]:
     """Return the grid of a table over an axis and its cell coefficients, (cells * c * 2,)."""
     table = table.evened()
     cells = np.stack((table.values[:-1], np.diff(table.values, axis=0)), axis=-1)
-    return table.temp.grid, cells.reshape(-1)
+    return table.temp, cells.reshape(-1)
 
 
-def plane_cells(table: LookupTable) -> "tuple[Grid, Grid, FloatArray]":
+def plane_cells(table: LookupTable) -> tuple[Grid, Grid, FloatArray]:
     """Return the grids of a table over two axes and its cell coefficients, (temperature cells * rate cells * c * 4,)."""
     table = table.evened()
     values, over_rate = table.values, np.diff(table.values, axis=1)
     parts = (values[:-1, :-1], np.diff(values[:, :-1], axis=0), over_rate[:-1], np.diff(over_rate, axis=0))
-    return table.temp.grid, (table.turn_rate or table.temp).grid, np.stack(parts, axis=-1).reshape(-1)
+    return table.temp, table.turn_rate or table.temp, np.stack(parts, axis=-1).reshape(-1)
 
 
 # ---- temperature and time since power-on, with which the tables are looked up

@@ -21,9 +21,10 @@ from typing import Any
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.correction.plan import Constants, LookupTable, TableAxis, constants_of
+from undrift.correction.plan import Constants, LookupTable, constants_of
 from undrift.errors import InputError
 from undrift.export import Exported, ExportOptions, conversions, not_in_firmware
+from undrift.kernels.tables import Grid
 from undrift.model import SENSORS, Calibration
 from undrift.segments import TURNING_ABOVE, TURNING_HOLD_S, TURNING_MEAN_S
 from undrift.units import RADIAN_PER_DEGREE, SI_UNIT
@@ -64,7 +65,7 @@ def _on_grids(constants: Constants) -> Constants:
     return replace(constants, **findable)
 
 
-def stride_of(axis: TableAxis) -> int:
+def stride_of(axis: Grid) -> int:
     """Return the first stride of a bisection: the largest power of two below the number of cells, at least 1."""
     return 1 << max(0, (axis.cells - 1).bit_length() - 1)
 
@@ -129,7 +130,7 @@ class Printer:
         self,
         triad: str,
         table: str,
-        axis: TableAxis,
+        axis: Grid,
         x: str,
         place: str,
         fraction: str,
@@ -142,8 +143,8 @@ class Printer:
         outside = f"{x} >= {start} && {x} <= {stop} ? 0 : {self.upper}_{what}_HELD"
         pad = "\n" + " " * (4 if cell == "cell" else 8)
         mark = f"status |= {outside};{pad}" if what else ""
-        if axis.even:
-            even = f"{start}, {c}({literal(float(axis.inverse[0]))})"
+        if axis.inverse > 0.0:
+            even = f"{start}, {c}({literal(axis.inverse)})"
             return f"{mark}{cell} = {self.prefix}_cell({x}, {even}, {axis.cells}, &{fraction});"
         inner = f"{x}, {name}, {name}_inverse, {axis.cells}, {stride_of(axis)}, &{fraction}"
         return f"{mark}{cell} = {self.prefix}_search({inner});"
@@ -285,10 +286,11 @@ def _parts(calibration: Calibration, triads: list[Constants], prefix: str, lead:
         "at_rest": gyro.at_rest, "moving": gyro.at_rest is not None, "mag": calibration.magnetometer,
         "turning": (TURNING_ABOVE, TURNING_MEAN_S, TURNING_HOLD_S),
         "above": f"{TURNING_ABOVE / RADIAN_PER_DEGREE:g}", "held": f"{TURNING_HOLD_S:g}",
-        "any_even": any(axis.even for axis in axes), "any_search": any(not axis.even for axis in axes),
+        "any_even": any(axis.inverse > 0.0 for axis in axes), "any_search": any(axis.inverse == 0.0 for axis in axes),
         "any_line": any(table.turn_rate is None for table in tables),
         "any_plane": any(table.turn_rate is not None for table in tables),
-        "tables_of": named_tables, "axes_of": _axes, "reals_of": printer.reals, "lookup": printer.lookup, "literal": literal,
+        "tables_of": named_tables, "axes_of": _axes, "reals_of": printer.reals,
+        "inverse_of": lambda axis: 1.0 / np.diff(axis.nodes), "lookup": printer.lookup, "literal": literal,
     }  # fmt: skip
 
 

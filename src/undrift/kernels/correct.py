@@ -6,40 +6,20 @@ Unsigned indices let the compiler use the vector units.
 """
 
 import math
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from undrift.arrays import FloatArray
 from undrift.kernels.compilation import compiled
+from undrift.kernels.tables import Grid, Tables
 
 IndexArray: TypeAlias = NDArray[np.uint32]
 ZERO, ONE, TWO, THREE = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3)
 FOUR, FIVE, SIX, EIGHT = np.uint64(4), np.uint64(5), np.uint64(6), np.uint64(8)
 TWELVE, EIGHTEEN = np.uint64(12), np.uint64(18)
 LOOKED_UP = 256  # samples whose cells are found together: shorter and longer measured slower
-
-
-class Grid(NamedTuple):
-    """Nodes of a table: ``inverse`` is the inverse of the step, or 0 if the steps differ and nodes are searched."""
-
-    nodes: FloatArray
-    start: float
-    inverse: float
-    cells: int
-
-
-class Tables(NamedTuple):
-    """Cell coefficients of a triad's tables, flat, with an empty array for a missing table."""
-
-    offset: FloatArray
-    offset_temp: Grid
-    matrix: FloatArray
-    matrix_temp: Grid
-    error: FloatArray
-    error_temp: Grid
-    error_rate: Grid
 
 
 @compiled
