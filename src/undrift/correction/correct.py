@@ -115,7 +115,6 @@ class Corrected:
     # readings beyond the calibration (level warn), errors that it does not correct (info)
     findings: tuple[Finding, ...]
     reach: Reach  # samples and seconds of each mask, with the span of temperature and rate
-    carry: Carry  # state for the next chunk of a stream
     rest: RemainingOffset | None = None  # offset that was subtracted, with its uncertainty
 
     @property
@@ -226,9 +225,8 @@ def correct_checked(
     """
     check_type(record, Record, "correct: `record`", "Read a file with read_record.")
     check_type(calibration, Calibration, "correct: `calibration`", "Read a file with read_calibration.")
-    carry = carry_at_start(float(record.time[0]), power_on_s)
-    plans = plan_record(record, calibration)
-    corrected = correct_planned(record, calibration, plans, policy=policy, out=out, threads=threads, carry=carry)
+    corrector = Corrector(calibration, policy, power_on_s=power_on_s)
+    corrected = corrector.push_checked(record, out=out, threads=threads)
     if isinstance(offset, str):
         check_choice(offset, ("none", "rest", "motion"), "correct", "offset")
     if offset != "none":
@@ -249,70 +247,6 @@ def _subtract_offset(corrected: Corrected, offset: RemainingOffset, out: Buffers
     rate = np.subtract(corrected.record.gyro, offset.at(corrected.record.time), out=None if out is None else out[0])
     record = corrected.record.computed(gyro=rate, offset_uncertainty=offset.uncertainty)
     return replace(corrected, record=record, rest=offset, findings=(*corrected.findings, *offset.findings))
-
-
-def correct_planned(
-    record: Record,
-    calibration: Calibration,
-    plans: Plans,
-    *,
-    policy: Policy = "raise",
-    out: Buffers | None = None,
-    threads: int | None = None,
-    carry: Carry = Carry(),
-) -> Corrected:
-    """Correct a record with prepared plans. ``carry`` is the state of the stream before it."""
-    check_choice(policy, Policy, "correct", "policy")
-    conditions, coming = conditions_of(record, calibration, plans, carry)
-    temp_c, time, before = conditions.temp_c, record.time, carry.last_time
-    # If any value is NaN, the minimum is NaN. Masks stay None if nothing is marked, so most records need no second pass.
-    missing = np.isnan(temp_c) if has_tables(plans) and np.isnan(temp_c.min()) else None
-    drift, allowed = calibration.drift or NO_TABLES, policy != "raise"
-    outside = coverage.find_outside(record, temp_c, plans, drift, allowed=allowed, before=before)
-    outputs = _buffers(len(record), plans, out)
-    spans = in_pieces(partial(_evaluate, record, plans, conditions, outputs), len(record), threads)
-    rest_offset = None if plans[0] is None else plans[0].at_rest
-    if rest_offset is not None:  # step 6: the constants apply in motion
-        outputs[0][:] += rest_offset
-        turning, state = find_turning(outputs[0], time, carry.turning)
-        outputs[0][turning > 0.0] -= rest_offset
-        coming = replace(coming, turning=state)
-    extrapolated = coverage.find_extrapolated(temp_c, plans, outputs)
-    if policy == "nan" and outside is not None:
-        for plan, values in zip(plans, outputs, strict=True):
-            if plan is not None and plan.tables:
-                values[outside] = np.nan
-    masks = {"outside": outside, "extrapolated": extrapolated, "without_temperature": missing}
-    amounts: dict[str, Any] = {f"samples_{name}": int(mask.sum()) for name, mask in masks.items() if mask is not None}
-    amounts |= {f"seconds_{name}": coverage.seconds_of(mask, time, before) for name, mask in masks.items()}
-    span_c, departure_c = coverage.temperature_reach(temp_c, calibration, plans)
-    reach = Reach(samples=len(record), temp_c=span_c, departure_c=departure_c, turn_rate=hull(*spans), **amounts)
-    coming = replace(coming, reach=carry.reach.joined(reach))
-    field = record.mag_ut
-    if calibration.magnetometer is not None and field is not None:  # step 8 (without rates its lag is not corrected)
-        field = calibration.magnetometer.corrected(field, outputs[0] if len(outputs[0]) else None)
-    unmarked = np.broadcast_to(np.False_, len(record))  # fresh memory costs as much as a tenth of the kernel
-    return Corrected(
-        record=record.computed(
-            gyro=None if plans[0] is None else outputs[0],
-            accel=None if plans[1] is None else outputs[1],
-            mag_ut=field,
-            gyro_unit="rad/s",
-            accel_unit="m/s2",
-            frame="b",
-            state="corrected",
-            accel_uncertainty=force_uncertainty(calibration, record.accel_unit),
-        ),
-        outside=unmarked if outside is None else outside,
-        extrapolated=unmarked if extrapolated is None else extrapolated,
-        missing=unmarked if missing is None else missing,
-        findings=(
-            *coverage.coverage_findings(reach, calibration),
-            *coverage.model_findings(record, calibration, coming),
-        ),
-        reach=reach,
-        carry=coming,
-    )
 
 
 def _buffers(n: int, plans: Plans, out: Buffers | None) -> Buffers:
@@ -387,19 +321,76 @@ class Corrector:
             warnings.warn(text, DriftRangeWarning, stacklevel=2)
         return corrected.record
 
-    def push_checked(self, chunk: Record) -> Corrected:
+    def push_checked(self, chunk: Record, *, out: Buffers | None = None, threads: int | None = None) -> Corrected:
         """Correct the next chunk, as ``push``, and return it with masks and findings of this chunk."""
-        last_time = self.state.last_time
-        if last_time is not None and chunk.time[0] <= last_time:
+        time, before = chunk.time, self.state.last_time
+        if before is not None and time[0] <= before:
             raise InputError(
-                f"corrector: expected a chunk that begins after {last_time:.6g} s, got one from {chunk.time[0]:.6g} s. "
+                f"corrector: expected a chunk that begins after {before:.6g} s, got one from {time[0]:.6g} s. "
                 "Push chunks in order, each once."
             )
+        carry = self.state if before is not None else carry_at_start(float(time[0]), self._power_on_s)
+        calibration, plans = self._calibration, self._plans_for(chunk)
+        conditions, coming = conditions_of(chunk, calibration, plans, carry)
+        temp_c = conditions.temp_c
+        # If any value is NaN, the minimum is NaN. Masks stay None if nothing is marked, so most records need no second pass.
+        missing = np.isnan(temp_c) if has_tables(plans) and np.isnan(temp_c.min()) else None
+        outside = coverage.find_outside(
+            chunk, temp_c, plans, calibration.drift or NO_TABLES, allowed=self._policy != "raise", before=before
+        )
+        outputs = _buffers(len(chunk), plans, out)
+        spans = in_pieces(partial(_evaluate, chunk, plans, conditions, outputs), len(chunk), threads)
+        rest_offset = None if plans[0] is None else plans[0].at_rest
+        if rest_offset is not None:  # step 6: the constants apply in motion
+            outputs[0][:] += rest_offset
+            turning, state = find_turning(outputs[0], time, carry.turning)
+            outputs[0][turning > 0.0] -= rest_offset
+            coming = replace(coming, turning=state)
+        extrapolated = coverage.find_extrapolated(temp_c, plans, outputs)
+        if self._policy == "nan" and outside is not None:
+            for plan, values in zip(plans, outputs, strict=True):
+                if plan is not None and plan.tables:
+                    values[outside] = np.nan
+        masks = {"outside": outside, "extrapolated": extrapolated, "without_temperature": missing}
+        amounts: dict[str, Any] = {
+            f"samples_{name}": int(mask.sum()) for name, mask in masks.items() if mask is not None
+        }
+        amounts |= {f"seconds_{name}": coverage.seconds_of(mask, time, before) for name, mask in masks.items()}
+        span_c, departure_c = coverage.temperature_reach(temp_c, calibration, plans)
+        reach = Reach(samples=len(chunk), temp_c=span_c, departure_c=departure_c, turn_rate=hull(*spans), **amounts)
+        coming = replace(coming, reach=carry.reach.joined(reach))
+        field = chunk.mag_ut
+        if (
+            calibration.magnetometer is not None and field is not None
+        ):  # step 8 (without rates its lag is not corrected)
+            field = calibration.magnetometer.corrected(field, outputs[0] if len(outputs[0]) else None)
+        unmarked = np.broadcast_to(np.False_, len(chunk))  # fresh memory costs as much as a tenth of the kernel
+        corrected = Corrected(
+            record=chunk.computed(
+                gyro=None if plans[0] is None else outputs[0],
+                accel=None if plans[1] is None else outputs[1],
+                mag_ut=field,
+                gyro_unit="rad/s",
+                accel_unit="m/s2",
+                frame="b",
+                state="corrected",
+                accel_uncertainty=force_uncertainty(calibration, chunk.accel_unit),
+            ),
+            outside=unmarked if outside is None else outside,
+            extrapolated=unmarked if extrapolated is None else extrapolated,
+            missing=unmarked if missing is None else missing,
+            findings=(
+                *coverage.coverage_findings(reach, calibration),
+                *coverage.model_findings(chunk, calibration, coming),
+            ),
+            reach=reach,
+        )
+        self.state = coming
+        return corrected if self._offset is None else _subtract_offset(corrected, self._offset)
+
+    def _plans_for(self, chunk: Record) -> Plans:
+        """Return the constants for the units and channels of a chunk, computed once."""
         key = (chunk.gyro_unit, chunk.accel_unit, chunk.gyro is None, chunk.accel is None, chunk.temp_c is None)
         if key not in self._plans or chunk.state == "corrected":
             self._plans[key] = plan_record(chunk, self._calibration)
-        carry = self.state if last_time is not None else carry_at_start(float(chunk.time[0]), self._power_on_s)
-        corrected = correct_planned(chunk, self._calibration, self._plans[key], policy=self._policy, carry=carry)
-        corrected = corrected if self._offset is None else _subtract_offset(corrected, self._offset)
-        self.state = corrected.carry
-        return corrected
+        return self._plans[key]
