@@ -127,6 +127,16 @@ def test_variance_of_a_mean_of_codes_is_that_of_rounded_noise(noise: float) -> N
     assert residual[0] / 9.0 == pytest.approx(square - scatter / 4000, rel=0.1, abs=3e-5)
 
 
+@pytest.mark.parametrize("noise", [0.15, 0.2, 0.25, 0.3])
+def test_offset_of_readings_that_toggle_between_two_codes_is_inside_its_interval(noise):
+    rng, time, step = np.random.default_rng(7), np.arange(6000) / 100.0, 0.57
+    for _ in range(8):
+        offset = rng.uniform(-3.0, 3.0, 3)
+        gyro = step * np.round(offset / step + noise * rng.standard_normal((len(time), 3)))
+        model = calibrate(Record(time=time, gyro=gyro, gyro_unit="dps")).gyro
+        assert (np.abs(model.offset - offset) <= 2.0 * model.standard_uncertainty[9:12]).all()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "methods", "triads"),

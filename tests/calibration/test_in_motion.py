@@ -7,8 +7,9 @@ import pytest
 from benchmarks.in_motion import pairs
 from scipy.stats import binom
 
+from testkit.broad_trials import trial
 from testkit.data import needs_data, show
-from undrift.calibration.calibrate import calibrate_from_motion
+from undrift.calibration.calibrate import calibrate, calibrate_from_motion
 from undrift.calibration.in_motion import InMotion, fit_in_motion
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.model import Calibration
@@ -171,6 +172,13 @@ def about_y() -> Record:
 def test_recordings_that_motion_cannot_use_are_refused(change, error, words) -> None:
     with pytest.raises(error, match=words):
         calibrate_from_motion([change(handled(70, 1)[0][0])])
+
+
+@needs_data
+def test_calibrate_offers_motion_for_a_recording_without_a_rest() -> None:
+    record, _ = trial(7)
+    with pytest.raises(NotObservable, match="--from motion"):
+        calibrate(record.part(11_440, 20_020))
 
 
 def test_gap_in_the_rates_is_refused() -> None:

@@ -80,8 +80,9 @@ def test_a_warm_up_that_goes_with_temperature_is_not_observable():
     time = 10.0 * np.arange(200)
     temp = 60.0 - 40.0 * np.exp(-time / 600.0)
     rests = blocks(temp, 0.1 * np.exp(-time / 600.0)[:, None] * np.ones(3), time=time)
-    with pytest.raises(NotObservable, match=r"100\.0 % of the transient"):
+    with pytest.raises(NotObservable) as refusal:
         warm_up_time(rests, rests.gyro)
+    assert refusal.value.numbers["share"] < 0.01  # rounding chooses among time constants that explain the same
     table = warm_up_table(100.0, np.array([1.0, 2.0, 0.0]))
     assert table.power_on_s[0] == 0.0
     np.testing.assert_array_equal(table.gyro_offset[[0, -1]], [[1.0, 2.0, 0.0], [0.0, 0.0, 0.0]])

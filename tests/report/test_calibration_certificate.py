@@ -15,6 +15,7 @@ from undrift.errors import InputError
 from undrift.io.store import read_calibration, write_calibration
 from undrift.model import SOURCES, Budget, Calibration
 from undrift.report import Estimate
+from undrift.report.calibration import calibration_report
 from undrift.report.certificate import SOURCE_ROWS, certificate_report, write_certificate
 
 
@@ -100,6 +101,12 @@ def test_the_truth_lies_inside_the_expanded_uncertainty(devices: int) -> None:
 
 
 # ---- the document
+
+
+def test_without_a_thermometer_no_limit_is_at_the_temperature_of_the_calibration(calibration: Calibration) -> None:
+    table = calibration_report(replace(calibration, reference_temp_c=np.nan)).tables[0]
+    assert [row[0] for row in table.rows] == ["after a rest, within 5 K", "without a rest, within 5 K"]
+    assert "not recorded" in table.note
 
 
 def test_the_same_calibration_gives_the_same_bytes(calibration: Calibration, tmp_path) -> None:

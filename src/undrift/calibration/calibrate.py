@@ -22,7 +22,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.codes import device_adc, restored
-from undrift.calibration.in_motion import InMotion, fit_in_motion, without_gaps
+from undrift.calibration.in_motion import InMotion, fit_in_motion, moves_enough, without_gaps
 from undrift.calibration.known_rotation import calibrate_turns
 from undrift.calibration.moves import FEWEST_POSES, calibrate_moves, calibrate_poses
 from undrift.calibration.plausibility import check_gyro_scale, missing_faces
@@ -54,6 +54,7 @@ GRAVITY_SPREAD = (
     0.02  # m/s2: largest difference between standard gravity and local gravity, which ranges from 9.78 to 9.83
 )
 GIVE_GRAVITY = "Give `gravity_m_s2`, or `latitude_deg` and `height_m`."
+FROM_MOTION = "The device turns about several axes, so calibrate from its motion instead: --from motion."
 RECORD_TURNS = "Record turns by known rates or angles."
 
 
@@ -198,8 +199,10 @@ def calibrated(
             stated = name_stated_sources(kind, fit.model, observed.session, settings, visible=visible)
             verdict, models[kind] = verdict.also(fit.verdict).also(Verdict.of(*stated)), fit.model
     if not models:
-        reasons = " ".join(item.text for item in findings)
-        raise NotObservable(f"calibrate: no pose or turn can be used for a fit: {reasons}")
+        reasons = [item.text for item in findings]
+        if moves_enough(session.records):
+            reasons.append(FROM_MOTION)
+        raise NotObservable(f"calibrate: no pose or turn can be used for a fit: {' '.join(reasons)}")
     choices = _choices(observed, _method(accel_fit), _method(gyro_fit), mode)
     return _build_calibration(
         session, choices, observed.mean_temperature(), adc=observed.adc, verdict=verdict, **models

@@ -15,6 +15,10 @@ scatter by S::
 
     Q = sum_k q^2 / (2 pi^2 k^2) exp(-4 pi^2 k^2 s^2 / q^2)       q^2 / 12 without noise
     S = s^2 + q^2 / 12 - Q
+
+At a single position S does not determine s: readings that toggle between two codes, a share p of them in the upper one, scatter by
+p (1 - p) q^2 for any small s. x then lies anywhere between the mean of the readings and the edge between the codes, |p - 1/2| q
+away. An even distribution over this distance to both sides has the variance (p - 1/2)^2 q^2 / 3, which is the least that counts.
 """
 
 from collections.abc import Iterator, Sequence
@@ -176,6 +180,7 @@ def restored(record: Record, adc: AdcModel | None, codes: FloatArray | None = No
 _NOISES = np.linspace(0.0, 1.0, 201)  # s / q
 _HARMONICS = np.arange(1, 200)[:, None]
 _BIAS = (np.exp(-((2.0 * np.pi * _HARMONICS * _NOISES) ** 2)) / (2.0 * np.pi**2 * _HARMONICS**2)).sum(axis=0)  # Q / q^2
+TWO_CODES = 0.99  # share of the readings in two codes from which a window toggles between them
 MAX_SHARE = 0.5  # largest share of a variance, because the rounding error is not normal
 
 
@@ -193,11 +198,25 @@ def _steps(values: Sequence[FloatArray]) -> FloatArray:
     return np.array(steps)
 
 
-def code_variance(step: FloatArray, scatter: FloatArray) -> FloatArray:
-    """Return Q for steps q and variances S of single readings (3,), or 0 if the step is unknown."""
+def code_variance(step: FloatArray, scatter: FloatArray, windows: Sequence[FloatArray] = ()) -> FloatArray:
+    """Return Q for steps q and variances S of single readings (3,), or 0 if the step is unknown.
+
+    Of readings at rest, ``windows`` (N, 3), those that toggle between two codes count with their limit.
+    """
     scatter_variance = _NOISES**2 + 1.0 / 12.0 - _BIAS
     square = np.where(step > 0.0, step, np.inf) ** 2
-    return np.asarray(np.where(step > 0.0, step, 0.0) ** 2 * np.interp(scatter / square, scatter_variance, _BIAS))
+    shares = [np.interp(scatter / square, scatter_variance, _BIAS)]
+    if len(windows):
+        shares.append(np.mean([_toggling_share(window, step) for window in windows], axis=0))
+    return np.asarray(np.where(step > 0.0, step, 0.0) ** 2 * np.max(shares, axis=0))
+
+
+def _toggling_share(window: FloatArray, step: FloatArray) -> FloatArray:
+    """Return (p - 1/2)^2 / 3 of readings (N, 3) that toggle between two codes, and 0 for other readings, (3,)."""
+    codes = np.rint((window - window.min(axis=0)) / step)
+    edge = np.floor(codes.mean(axis=0)) + 0.5
+    toggling = (np.abs(codes - edge) < 1.0).mean(axis=0) >= TWO_CODES
+    return np.where(toggling, (codes.mean(axis=0) - edge) ** 2 / 3.0, 0.0)
 
 
 def rounding_correlation(distance: FloatArray, spread: FloatArray, share: FloatArray) -> FloatArray:
@@ -222,7 +241,7 @@ def scatter_of_readings(windows: Sequence[FloatArray]) -> FloatArray:
 
 def mean_rounding(values: Sequence[FloatArray], rests: Sequence[FloatArray]) -> FloatArray:
     """Return the standard deviation (3,) of a mean at rest due to rounding, from all readings and those at rest, (N, 3) each."""
-    return np.sqrt(code_variance(_steps(values), np.mean([rest.var(axis=0) for rest in rests], axis=0)))
+    return np.sqrt(code_variance(_steps(values), np.mean([rest.var(axis=0) for rest in rests], axis=0), rests))
 
 
 def limited_by_codes(

@@ -169,7 +169,7 @@ def fit_in_motion(
     parts = _parts(
         [record.in_units("rad/s", "m/s2") for record in records], fields or [None] * len(records), gravity_m_s2
     )
-    _check_turned(parts)
+    _check_turned([part.rate for part in parts])
     rows, value, spread = _prior(parts)
     rests = [part.rest[0] for part in parts if part.rest is not None]
     usual_offset = np.mean(rests, axis=0) if rests else np.zeros(3)
@@ -270,10 +270,22 @@ def _quiet_seconds(record: Record) -> tuple[Still, ...]:
     return tuple(s for s in found if rates[s.start : s.stop].std(axis=0).max() <= BENCH_RATE_LIMIT)
 
 
-def _check_turned(parts: Sequence[_Part]) -> None:
-    """Raise unless the device is turned about several axes."""
-    turned_dps = np.degrees(max(float(np.sqrt(part.rate.var(axis=0).sum())) for part in parts))
-    variances = np.linalg.eigvalsh(np.mean([np.cov(part.rate.T) for part in parts], axis=0))
+def moves_enough(records: Sequence[Record]) -> bool:
+    """Return True if ``fit_in_motion`` accepts the recordings, apart from their gaps."""
+    stretches = [stretch for record in records for stretch in without_gaps(record)]
+    try:
+        for stretch in stretches:
+            _check(stretch, "motion")
+        _check_turned([np.asarray(stretch.in_units("rad/s", "m/s2").gyro) for stretch in stretches])
+    except (InputError, NotObservable):
+        return False
+    return True
+
+
+def _check_turned(rates: Sequence[FloatArray]) -> None:
+    """Raise unless the device is turned about several axes, at rates (N, 3), rad/s."""
+    turned_dps = np.degrees(max(float(np.sqrt(rate.var(axis=0).sum())) for rate in rates))
+    variances = np.linalg.eigvalsh(np.mean([np.cov(rate.T) for rate in rates], axis=0))
     across_dps, along_dps = np.degrees(np.sqrt(variances[1:].clip(0.0))).tolist()
     advice = "Turn the device in the hand, slowly, about every axis, for a minute."
     if turned_dps < LEAST_DPS:

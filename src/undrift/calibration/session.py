@@ -171,7 +171,7 @@ class Observed:
         mean, variance = mean_of_rests(windows, sizes, None if creep is None else creep[rests])
         # the rounding error of the offset is equal in all rests
         scatter = np.mean([window.var(axis=0) for window in windows], axis=0)
-        return mean, variance + code_variance(code_steps(records, rate=True), scatter)
+        return mean, variance + code_variance(code_steps(records, rate=True), scatter, windows)
 
     def mean_temperature(self) -> float:
         """Return the mean temperature over stills and turns, NaN if it was not recorded."""

@@ -59,11 +59,18 @@ def triads_of(calibration: Calibration) -> dict[str, TriadModel]:
 
 def _pitch(calibration: Calibration) -> Iterator[Table]:
     """Yield the limits of the pitch after a rest, away from the temperature of the calibration, and without a rest."""
-    cases = (
+    within, note = f"{WITHIN_K:.0f} K", PITCH_NOTE
+    cases = [
         ("after a rest", True, 0.0),
-        (f"after a rest, {WITHIN_K:.0f} K warmer", True, WITHIN_K),
+        (f"after a rest, {within} warmer", True, WITHIN_K),
         ("without a rest", False, 0.0),
-    )
+    ]
+    if not math.isfinite(calibration.reference_temp_c):
+        cases = [
+            (f"after a rest, within {within}", True, WITHIN_K),
+            (f"without a rest, within {within}", False, WITHIN_K),
+        ]
+        note += f" The temperature of the calibration was not recorded. The limits hold up to {within} from it."
     rows = list[tuple[Cell, ...]]()
     for name, rested, away_k in cases:
         limits = pitch_limits(calibration, rested=rested, away_k=away_k)
@@ -71,7 +78,7 @@ def _pitch(calibration: Calibration) -> Iterator[Table]:
             rows.append((name, *(limits / RADIAN_PER_DEGREE).tolist()))
     if rows and calibration.gyro is not None:
         columns = ("recording", *(f"after {time_s:.0f} s (deg)" for time_s in TASK_S))
-        yield Table(title="Pitch of a sit-to-stand", columns=columns, rows=rows, form=".2f", note=PITCH_NOTE)
+        yield Table(title="Pitch of a sit-to-stand", columns=columns, rows=rows, form=".2f", note=note)
 
 
 def _uncertainty(calibration: Calibration) -> Table:
