@@ -9,7 +9,7 @@ The rows of undrift come first, so that no other package can replace them.
 """
 
 import importlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib.metadata import entry_points
 from typing import Any
 from urllib.parse import parse_qsl
@@ -17,6 +17,7 @@ from urllib.parse import parse_qsl
 from undrift.errors import InputError
 
 Options = tuple[tuple[str, str], ...]
+Types = Mapping[str, Callable[[str], Any]]  # function that converts the text of an option, by name
 
 
 def names_in(table: Mapping[str, object], group: str) -> tuple[str, ...]:
@@ -53,3 +54,16 @@ def split_address(text: str, what: str, kinds: tuple[str, ...], advice: str) -> 
         raise InputError(
             f"{what}: expected options as name=value&name=value, got '{query}'. Correct the address."
         ) from error
+
+
+def typed_options(options: Options, types: Types, what: str) -> dict[str, Any]:
+    """Return the options of an address by name, converted to their types."""
+    values = dict[str, Any]()
+    for name, text in options:
+        if name not in types:
+            raise InputError(f"{what}: unknown option '{name}' in the address. Use one of {', '.join(types)}.")
+        try:
+            values[name] = types[name](text)
+        except ValueError as error:
+            raise InputError(f"{what}: '{text}' is not a value for {name}. Correct the address.") from error
+    return values

@@ -13,8 +13,8 @@ from testkit.data import show
 from testkit.scripted_server import VirtualScripted
 from testkit.virtual_clock import VirtualClock
 from undrift.errors import LinkError, RigError, RigFault, RigTimeout
-from undrift.rig.galil import GalilCard, GalilRig
-from undrift.rig.grbl import GrblBoard, GrblRig
+from undrift.rig.galil import GalilRig
+from undrift.rig.grbl import GrblRig
 from undrift.rig.rig import RigSettings
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
@@ -39,7 +39,6 @@ class Driver:
     """A driver, the controller that it talks to, and its words."""
 
     controller: type
-    link: type
     rig: type
     begin: re.Pattern[str]  # what begins a move
     stop: re.Pattern[str]  # what brings an axis to rest
@@ -49,10 +48,10 @@ class Driver:
 
 DRIVERS = {
     "galil": Driver(
-        Card, GalilCard, GalilRig, re.compile("BGX"), re.compile("STX|AB"), re.compile(r"MG .*|TC1|MOX|\x12\x16"), {}
+        Card, GalilRig, re.compile("BGX"), re.compile("STX|AB"), re.compile(r"MG .*|TC1|MOX|\x12\x16"), {}
     ),
     "grbl": Driver(
-        Board, GrblBoard, GrblRig, re.compile(r"\$J=.*"), re.compile("!?[\x85\x18]"), re.compile(r"\?|!|\$\$|\$SLP|\$X"),
+        Board, GrblRig, re.compile(r"\$J=.*"), re.compile("!?[\x85\x18]"), re.compile(r"\?|!|\$\$|\$SLP|\$X"),
         {"terminator": b"\n", "at_once": "?!~\x18\x85"},
     ),
 }  # fmt: skip
@@ -136,14 +135,14 @@ def check_sent(driver, name, sent, failure):
 def converse(driver, line, names, failures):
     """Open a rig, and give it calls over a poor line until it is of no use any more."""
     line.armed = False
-    link = driver.link(line.server.url, reply_timeout_s=REPLY_S, clock=line.clock)
-    rig, sent, send = driver.rig(link, RigSettings(clock=line.clock)), [], link.send
+    rig, sent = driver.rig(line.server.url, RigSettings(clock=line.clock, reply_timeout_s=REPLY_S)), []
+    send = rig.send
 
     def noted(data):
         sent.extend(WORD.findall(data.decode("latin-1")))
         send(data)
 
-    link.send = noted
+    rig.send = noted
     line.armed = True
     for name in names:
         sent.clear()
@@ -159,7 +158,7 @@ def converse(driver, line, names, failures):
             break
     with contextlib.suppress(RigError):
         rig.close()
-    assert not link.is_open
+    assert not rig.is_open
 
 
 @pytest.mark.parametrize("share", [0.1, 0.4])

@@ -82,7 +82,7 @@ def test_stop_ends_the_process_that_drives_the_table():
 
 def check_free(card, accept):
     """Open the table of a card as a run does, and close the link only."""
-    open_rig(card.address, RigSettings(clock=card.bench.clock, accept=accept))._link.close()
+    open_rig(card.address, RigSettings(clock=card.bench.clock, accept=accept)).disconnect()
 
 
 def test_a_table_whose_motor_is_on_or_that_moves_is_refused_and_goes_on():

@@ -6,13 +6,13 @@ from testkit.cards import Board, Card
 from testkit.scripted_server import VirtualScripted
 from testkit.virtual_clock import VirtualClock
 from undrift.errors import LinkError
-from undrift.rig.galil import GalilCard, GalilRig
-from undrift.rig.grbl import GrblBoard, GrblRig
+from undrift.rig.galil import GalilRig
+from undrift.rig.grbl import GrblRig
 from undrift.rig.rig import RigSettings
 
-KINDS = {  # controller, link, rig, and how the lines end
-    "galil": (Card, GalilCard, GalilRig, {}),
-    "grbl": (Board, GrblBoard, GrblRig, {"terminator": b"\n", "at_once": "?!~\x18\x85"}),
+KINDS = {  # controller, rig, and how the lines end
+    "galil": (Card, GalilRig, {}),
+    "grbl": (Board, GrblRig, {"terminator": b"\n", "at_once": "?!~\x18\x85"}),
 }
 
 
@@ -20,11 +20,10 @@ class DriverBench:
     """A rig on a scripted controller, as a context manager."""
 
     def __init__(self, kind, controller=None, *, reply_timeout_s=20.0, **settings):
-        made, link, rig, line = KINDS[kind]
+        made, rig, line = KINDS[kind]
         self.kind, self.controller, self.clock = kind, controller or made(), VirtualClock()
         self.server = VirtualScripted(self.controller, self.clock, **line)
-        self.link = link(self.server.url, reply_timeout_s=reply_timeout_s, clock=self.clock)
-        self.rig = rig(self.link, RigSettings(clock=self.clock, **settings))
+        self.rig = rig(self.server.url, RigSettings(clock=self.clock, reply_timeout_s=reply_timeout_s, **settings))
         self.opening = [*self.server.heard]
         self.server.heard.clear()
 

@@ -117,15 +117,6 @@ class SocketPort:
         self._socket.close()
 
 
-def tcp_port(host: str, port: int, longest_s: float, clock: Clock = HOST) -> Port:
-    """Connect over TCP. With a virtual clock, connect to the simulated server on that clock."""
-    if (way := clock.connection(host, port)) is not None:
-        return way
-    connection = socket.create_connection((host, port), timeout=longest_s)
-    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    return SocketPort(connection)
-
-
 class SerialPort:
     """Port that pyserial opens: a serial port, a pty, ``socket://`` or ``loop://``."""
 
@@ -152,6 +143,18 @@ class SerialPort:
     def close(self) -> None:
         """Close the port."""
         self._port.close()
+
+
+def open_port(url: str, baud: int, clock: Clock = HOST) -> Port:
+    """Open ``tcp://host:port``, or ``serial://`` and a path or URL of pyserial."""
+    if not url.startswith("tcp://"):
+        return SerialPort(url.removeprefix("serial://"), baud)
+    host, port = host_and_port(url.removeprefix("tcp:"))
+    if (way := clock.connection(host, port)) is not None:
+        return way
+    connection = socket.create_connection((host, port), timeout=CONNECT_S)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return SocketPort(connection)
 
 
 def reason_of(error: Exception) -> str:
@@ -323,7 +326,7 @@ def tcp_source(address: Address) -> Source:
         raise InputError(f"device: expected tcp://host:port, got no host in '{address.place}'. Enter the host.")
 
     url = f"tcp://{host}:{port}"
-    return ByteSource(url, address.describe(), lambda: tcp_port(host, port, CONNECT_S, address.clock), address.clock)
+    return ByteSource(url, address.describe(), lambda: open_port(url, 0, address.clock), address.clock)
 
 
 def udp_source(address: Address) -> Source:

@@ -1,4 +1,4 @@
-"""Links to rigs: questions and answers, each with a deadline, over TCP or a serial port.
+"""Links to rigs: questions and answers, each with a deadline, over TCP or a serial port, and the procedure of all controllers.
 
 The caller that asks also reads the answer. Bytes that arrive between two exchanges are discarded. After an answer that is too late,
 the link is out of step: the late answer would be read as the next one. Such a link raises LinkError until an exchange with `anew`
@@ -6,40 +6,38 @@ has resynchronised it.
 
 A link is opened with a URL: ``tcp://host:port``, ``serial:///dev/ttyUSB0`` or a plain path (also of a pty). The pyserial URLs
 ``socket://host:port`` and ``loop://`` are also accepted.
+
+A controller differs from another only in its commands, and in its units of position: counts or degrees.
 """
 
+import contextlib
 import logging
 import math
 import re
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from abc import abstractmethod
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
-from typing import TypeVar
 
 from undrift.base.clock import HOST, Clock, Port
-from undrift.errors import InputError, LinkError, RigError, RigTimeout
-from undrift.live.transports import CONNECT_S, POLL_S, SerialPort, host_and_port, reason_of, tcp_port
+from undrift.errors import InputError, LinkError, RigError, RigFault, RigTimeout
+from undrift.live.transports import POLL_S, host_and_port, open_port, reason_of
 from undrift.rig.rig import Position, RigSettings
 
-T = TypeVar("T")
 LONGEST_REPLY = 65536  # longest reply that is accepted, bytes
 
 log = logging.getLogger(__name__)
 
 
-def open_port(url: str, baud: int, clock: Clock) -> Port:
+def connect(url: str, baud: int, clock: Clock) -> Port:
     """Open the port of a URL."""
-    host, port = host_and_port(url.removeprefix("tcp:")) if url.startswith("tcp://") else ("", 0)
-    is_known = url.startswith(("serial://", "socket://", "loop://", "/", "COM")) and url != "serial://"
-    if not (host and port) and not is_known:
+    is_tcp, is_serial = url.startswith("tcp://"), url.startswith(("serial://", "socket://", "loop://", "/", "COM"))
+    if not (is_tcp and all(host_and_port(url.removeprefix("tcp:")))) and (not is_serial or url == "serial://"):
         raise InputError(
             f"link: expected tcp://host:port, serial:///path, a path, socket://host:port or loop://, got '{url}'. Enter the "
             "connection of the rig."
         )
     try:
-        if host:
-            return tcp_port(host, port, CONNECT_S, clock)
-        return SerialPort(url.removeprefix("serial://"), baud)
+        return open_port(url, baud, clock)
     except (OSError, ValueError) as error:  # pyserial's SerialException is an OSError
         raise LinkError(f"{url}: cannot connect ({reason_of(error)}). Check power, cable and address.") from error
 
@@ -47,15 +45,16 @@ def open_port(url: str, baud: int, clock: Clock) -> Port:
 class Link(AbstractContextManager["Link"]):
     """A connection that is open from its construction until `close`."""
 
-    terminator = "\n"  # end of every question
+    terminator = "\n"  # end of a question
+    immediate = ""  # questions of one character, which have no terminator
     reply_end = re.compile(rb"\n")  # end of the first whole reply in the received bytes
 
     def __init__(self, url: str, *, reply_timeout_s: float = 2.0, baud: int = 19200, clock: Clock = HOST) -> None:
         self.name, self.reply_timeout_s, self.clock = url, reply_timeout_s, clock
         self._baud = baud
-        self._lost: str | None = None  # reason why the connection is lost
+        self._lost = ""  # reason why the connection is lost
         self._received, self._in_step = bytearray(), True
-        self._port = open_port(url, baud, clock)
+        self._port = connect(url, baud, clock)
 
     def __exit__(self, *failure: object) -> None:
         self.close()
@@ -64,16 +63,10 @@ class Link(AbstractContextManager["Link"]):
     def is_open(self) -> bool:
         """True unless the connection is known to be lost."""
         self._listen(0.0)
-        return self._lost is None
+        return not self._lost
 
     def exchange(
-        self,
-        text: str,
-        wait_s: float | None = None,
-        *,
-        until: re.Pattern[bytes] | None = None,
-        terminator: str | None = None,
-        anew: bool = False,
+        self, text: str, wait_s: float | None = None, *, until: re.Pattern[bytes] | None = None, anew: bool = False
     ) -> str:
         """Send a question and return the answer. With `anew`, the question has a unique answer, so the link is in step again."""
         if not (self._in_step or anew):
@@ -84,7 +77,7 @@ class Link(AbstractContextManager["Link"]):
         while self._listen(0.0) and len(self._received) < LONGEST_REPLY:
             pass
         self._received.clear()
-        self.send((text + (self.terminator if terminator is None else terminator)).encode("latin-1"))
+        self.send((text if text in self.immediate else text + self.terminator).encode("latin-1"))
         reply = self._wait_for(text, until or self.reply_end, self.reply_timeout_s if wait_s is None else wait_s)
         self._in_step = True
         try:
@@ -96,7 +89,7 @@ class Link(AbstractContextManager["Link"]):
 
     def send(self, data: bytes) -> None:
         """Send bytes without waiting for an answer."""
-        if self._lost is not None:
+        if self._lost:
             raise LinkError(f"{self.name}: the link is lost ({self._lost}). Reconnect it.")
         try:
             self._port.write(data)
@@ -106,13 +99,17 @@ class Link(AbstractContextManager["Link"]):
 
     def reconnect(self) -> None:
         """Close the link and open it again, with empty buffers."""
-        self.close()
-        self._port = open_port(self.name, self._baud, self.clock)
-        self._lost, self._in_step = None, True
+        self.disconnect()
+        self._port = connect(self.name, self._baud, self.clock)
+        self._lost, self._in_step = "", True
         self._received.clear()
 
     def close(self) -> None:
         """Close the connection. A second call has no effect."""
+        self.disconnect()
+
+    def disconnect(self) -> None:
+        """Close the connection."""
         self._lose("closed")
         self._port.close()
 
@@ -122,7 +119,7 @@ class Link(AbstractContextManager["Link"]):
 
     def _listen(self, wait_s: float) -> bool:
         """Receive the bytes that arrive within a time, and return True if any arrived."""
-        if self._lost is not None:
+        if self._lost:
             return False
         try:
             data = self._port.receive(wait_s)
@@ -141,7 +138,7 @@ class Link(AbstractContextManager["Link"]):
                 raise LinkError(
                     f"{self.name}: the answer to '{text}' does not end, it starts with {beginning!r}. Check the baud rate."
                 )
-            if self._lost is not None:
+            if self._lost:
                 raise LinkError(f"{self.name}: no answer to '{text}', the link is lost ({self._lost}). Reconnect it.")
             if left_s <= 0.0:
                 received = f"only {beginning!r}" if beginning else "nothing"
@@ -155,46 +152,127 @@ class Link(AbstractContextManager["Link"]):
         return reply
 
 
-# ---- Common parts of rigs with a link.
+# ---- A rig with a link. A controller has its own commands, and the procedure is the same for all.
+
+RECONNECTIONS = 4
+STOP_MARGIN_S = 2.0  # added to twice the expected stopping time, s
 
 
-def ask_until(ask: Callable[[], T], clock: Clock, within_s: float) -> T | None:
-    """Ask a controller until the answer is true, and return that answer, or None on timeout (after at least 1 s)."""
-    return clock.until(ask, max(within_s, 1.0))
-
-
-class LinkedRig(ABC):
-    """Base class of rigs with a link. A subclass has the commands of its controller, and makes the table safe after an error."""
+class LinkedRig(Link):
+    """A rig with a link. A subclass has the commands of its controller. The unit of positions is a count or a degree."""
 
     stopped = unconfirmed = ""  # state of the table after a failure, for messages
-    unit, slack = "", 0.0  # unit of the controller's positions, and their tolerance
-    rad_per_unit = 1.0  # angle of one unit of position, rad
+    halt = b""  # command that ends a move
+    last_words: tuple[bytes, ...] = ()  # commands to a controller that does not answer
+    unit, rad_per_unit = "", 1.0  # unit of positions, rad
+    slack = 0.0  # tolerance of the check of positions, units
+    baud = 0  # default, bits per second
 
-    def __init__(self, link: Link, settings: RigSettings) -> None:
-        self.limits, self.clock, self._link = settings.limits, settings.clock, link
+    def __init__(self, url: str, settings: RigSettings = RigSettings()) -> None:
+        self.limits = settings.limits
         self._enabled = False
         self._refused = ""  # reason to refuse all commands
+        self._acceleration = math.inf  # of both ramps, units/s2
         self._fastest = math.inf  # largest rate, units/s
         self._home = 0.0  # position when the rig was opened, units
         self._last = math.nan  # last position, units (NaN until the first one)
         self._asked_s = 0.0  # time of its question, s
+        baud = settings.baud or self.baud
+        super().__init__(url, reply_timeout_s=settings.reply_timeout_s, baud=baud, clock=settings.clock)
         try:
             self._prepare(settings)
         except RigError:
-            link.close()
+            self.disconnect()
             raise
+
+    # ---- Commands of a controller
 
     @abstractmethod
     def _prepare(self, settings: RigSettings) -> None:
         """Check that the table is free, configure the controller and store the initial position."""
 
     @abstractmethod
-    def _make_safe(self) -> bool:
-        """Stop and switch the motor off, and reconnect first if the link is lost. Return True if the controller confirms it."""
+    def _resynchronise(self) -> object:
+        """Ask a question with a unique answer, and discard all bytes before that answer."""
+
+    @abstractmethod
+    def _switch(self, on: bool) -> bool:
+        """Switch the motor on or off, and return True if the controller confirms it."""
+
+    @abstractmethod
+    def _set_ramps(self, acceleration: float) -> float:
+        """Set the acceleration of both ramps, units/s2, and return the acceleration that was read back."""
+
+    @abstractmethod
+    def _plan_move(self, rate: float, seconds: float) -> tuple[float, float]:
+        """Return the nearest rate and distance of the controller, units/s and units, or raise LimitError."""
+
+    @abstractmethod
+    def _move(self, rate: float, distance: float) -> float:
+        """Start a move by a distance, units, and return the magnitude of the rate that the controller has set, units/s."""
+
+    @abstractmethod
+    def _obstacle(self) -> str:
+        """Return the reason why no move can start, or ""."""
+
+    @abstractmethod
+    def _is_moving(self) -> bool:
+        """Return True if the axis moves."""
+
+    @abstractmethod
+    def _halt(self) -> None:
+        """End the move with a ramp, without waiting for its end."""
+
+    @abstractmethod
+    def _come_to_rest(self) -> None:
+        """End the motion by all means, and put the link in step."""
 
     @abstractmethod
     def _ask_position(self) -> float:
         """Return the position that the controller reports, units."""
+
+    # ---- Procedure
+
+    def enable(self, on: bool) -> None:
+        """Stop the axis if it moves, and switch the motor on or off."""
+        with self._guarded():
+            if self._is_moving():
+                self._stop()
+                self._read_position()
+            if not self._switch(on):
+                word = "on" if on else "off"
+                raise RigFault(f"{self.name}: the motor did not switch {word}. Check the amplifier.")
+            self._enabled = on
+
+    def set_acceleration(self, acceleration: float) -> float:
+        """Set the acceleration of both ramps and return the achieved acceleration, rad/s2."""
+        self.limits.check_acceleration(acceleration)
+        with self._guarded():
+            self._acceleration = self._set_ramps(acceleration / self.rad_per_unit)
+        return self._acceleration * self.rad_per_unit
+
+    def turn_for(self, turn_rate: float, seconds: float) -> float:
+        """Turn at a steady rate for a time that includes both ramps, as one finite move. Return the rate of the controller."""
+        self.limits.check_turn_rate(turn_rate)
+        rate, distance = self._plan_move(turn_rate / self.rad_per_unit, seconds)
+        self.limits.check_travel((self._last - self._home + distance) * self.rad_per_unit)
+        with self._guarded():
+            if obstacle := self._obstacle():
+                raise RigFault(f"{self.name}: the axis cannot turn, got {obstacle}. Stop it and check the table.")
+            actual = self._move(rate, distance)
+        return math.copysign(actual, rate) * self.rad_per_unit
+
+    def stop(self) -> None:
+        """Slow down and wait until the axis is at rest. The motor stays on."""
+        with self._guarded():
+            self._stop()
+            before = self._read_position()
+            for _ in range(50):  # a servo settles after its profile ends
+                self.clock.wait(0.02)
+                position = self._read_position()
+                if abs(position - before) <= 1.0:
+                    break
+                before = position
 
     def position(self) -> Position:
         """Return the angle since the rig was opened, rad, timed half-way between question and answer."""
@@ -212,26 +290,66 @@ class LinkedRig(ABC):
             confirmed = self._make_safe()
         finally:
             self._refused = "it is closed"
-            self._link.close()
+            self.disconnect()
         if not confirmed:
-            raise LinkError(
-                f"{self._link.name}: no answer when the motor was switched off at the end. {self.unconfirmed}"
-            )
+            raise LinkError(f"{self.name}: no answer when the motor was switched off at the end. {self.unconfirmed}")
 
     @contextmanager
     def _guarded(self) -> Iterator[None]:
         """Raise LinkError if the rig is closed or lost. If the link fails within the block, make the table safe first."""
         if self._refused:
-            raise LinkError(f"{self._link.name}: the rig accepts no commands ({self._refused}). Open it again.")
+            raise LinkError(f"{self.name}: the rig accepts no commands ({self._refused}). Open it again.")
         try:
             yield
         except (LinkError, RigTimeout) as error:
             outcome = self.stopped if self._make_safe() else self.unconfirmed
             raise type(error)(f"{error} {outcome}", **error.numbers) from error
 
-    def _check_travel(self, distance: float) -> None:
-        """Raise LimitError if a move by a distance, units, leads beyond the travel."""
-        self.limits.check_travel((self._last - self._home + distance) * self.rad_per_unit)
+    def _make_safe(self) -> bool:
+        """Stop and switch the motor off, and reconnect first if the link is lost. Return True if the controller confirms it."""
+        self._enabled = False
+        try:
+            if not self.is_open:
+                self._refused = "the connection was lost, and the controller may have lost its settings"
+                self._reconnect()
+            self.shout(self.halt)  # at once (the next line discards the answer)
+            self._resynchronise()
+            self._come_to_rest()
+            return self._switch(False)
+        except RigError as error:
+            log.error("%s: not confirmed at rest: %s", self.name, error)
+            self._refused = "it could not be brought to rest"
+            for command in self.last_words:  # the controller may still receive commands
+                self.shout(command)
+                self.clock.wait(0.05)
+            return False
+
+    def shout(self, command: bytes) -> None:
+        """Send without waiting for an answer. The next question reports a lost link."""
+        with contextlib.suppress(RigError):
+            self.send(command)
+
+    def _reconnect(self) -> None:
+        """Reconnect, with repeated attempts, because a controller does not answer immediately after a restart."""
+        for _ in range(RECONNECTIONS - 1):
+            with contextlib.suppress(LinkError):
+                return self.reconnect()
+            self.clock.wait(0.3)
+        return self.reconnect()
+
+    def _stop(self) -> None:
+        """End the move and wait until the axis is at rest."""
+        self._halt()
+        self._wait_for_rest(self._fastest / self._acceleration)
+
+    def _wait_for_rest(self, expected_s: float = 0.0) -> None:
+        """Poll until the axis rests, for at most twice the expected time plus 2 s."""
+        allowed_s = 2.0 * expected_s + STOP_MARGIN_S
+        if not self.clock.until(lambda: not self._is_moving(), max(allowed_s, 1.0)):
+            raise RigTimeout(
+                f"{self.name}: the axis is still moving after {allowed_s:.3g} s. Check the table.",
+                deadline_s=allowed_s,
+            )
 
     def _read_position(self) -> float:
         """Return the position, units. Raise LinkError for one that the axis cannot have reached since the last one."""
@@ -240,7 +358,7 @@ class LinkedRig(ABC):
         reach = 1.5 * self._fastest * (self.clock.now() - before_s) + self.slack
         if abs(position - self._last) > reach:
             raise LinkError(
-                f"{self._link.name}: expected a position within {reach:.1f} {self.unit} of {self._last:g}, got {position:g}. "
+                f"{self.name}: expected a position within {reach:.1f} {self.unit} of {self._last:g}, got {position:g}. "
                 "The controller was restarted, or the answer is corrupted.",
                 position=position,
             )

@@ -16,48 +16,34 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.resources import files
-from typing import Any, Literal, Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 
 from undrift.base.clock import HOST, Clock, PacedClock
 from undrift.errors import InputError, LimitError, RigFault, check_positive
-from undrift.plugins import load_named, names_in, split_address
+from undrift.plugins import Types, load_named, names_in, split_address, typed_options
 from undrift.programme import Dwell, Programme
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
 # ---- Rounding of commands to counts of an encoder.
 
 COUNTS_PER_LINE = 4
+# commands of a card in counts, counts/s or counts/s2: step, which is also the smallest value, and largest value
+COMMANDS = {"SP": (2, 12_000_000), "AC": (1024, 67_107_840), "PR": (1, 2_147_483_647)}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CommandRange:
-    """Values that a command of a card accepts: multiples of a step within a range."""
-
-    name: str  # command name for messages, for example "JG" or "AC"
-    step: int  # difference between two accepted values, counts, counts/s or counts/s2
-    smallest: int  # smallest magnitude that has an effect
-    largest: int  # largest magnitude
-
-    def round(self, counts: float) -> int:
-        """Return the nearest value that the card accepts."""
-        magnitude = self.step * math.floor(abs(counts) / self.step + 0.5)
-        if not self.smallest <= magnitude <= self.largest:
-            raise LimitError(
-                f"{self.name}: the card accepts {self.smallest} to {self.largest} in steps of {self.step}, got {counts:.6g} "
-                "counts. Choose another rate, acceleration or angle.",
-                counts=counts,
-                smallest=self.smallest,
-                largest=self.largest,
-            )
-        return magnitude if counts > 0 else -magnitude
-
-
-LONGEST_MOVE = 2_147_483_647  # counts, a signed word of 32 bits
-SLEW = CommandRange(name="SP", step=2, smallest=2, largest=12_000_000)
-ACCELERATION = CommandRange(name="AC", step=1024, smallest=1024, largest=67_107_840)
-MOVE = CommandRange(name="PR", step=1, smallest=1, largest=LONGEST_MOVE)
+def to_counts(command: str, value: float) -> int:
+    """Return the nearest value that a card accepts for a command."""
+    step, largest = COMMANDS[command]
+    magnitude = step * math.floor(abs(value) / step + 0.5)
+    if not step <= magnitude <= largest:
+        raise LimitError(
+            f"{command}: the card accepts {step} to {largest} in steps of {step}, got {value:.6g} counts. Choose another rate, "
+            "acceleration or angle.",
+            counts=value,
+        )
+    return magnitude if value > 0 else -magnitude
 
 
 # ---- rig
@@ -270,15 +256,10 @@ def check_programme(
 
 
 @cache
-def codes(kind: str) -> dict[str, str]:
-    """Return the meanings of a kind of code: galil_error (TC), galil_stop (SC), grbl_error."""
-    table: dict[str, str] = tomllib.loads((files("undrift.rig") / "codes.toml").read_text(encoding="utf-8"))[kind]
-    return table
-
-
 def in_words(kind: str, code: int) -> str:
-    """Return the meaning of a code."""
-    return codes(kind).get(str(code), codes(kind)["other"])
+    """Return the meaning of a code: galil_error (TC), galil_stop (SC) or grbl_error."""
+    meanings: dict[str, str] = tomllib.loads((files("undrift.rig") / "codes.toml").read_text(encoding="utf-8"))[kind]
+    return meanings.get(str(code), meanings["other"])
 
 
 # ---- Addresses.
@@ -286,6 +267,8 @@ def in_words(kind: str, code: int) -> str:
 # function that opens a rig, by kind
 CONTROLLERS = {kind: f"undrift.rig.{kind}:open_from" for kind in ("galil", "grbl", "manual", "simulated")}
 GROUP = "undrift.rigs"
+OPTIONS: Types = {"encoder_lines": int, "axis": str.upper, "baud": int, "reply_timeout_s": float}
+SIMULATED_OPTIONS: Types = {"encoder_lines": int, "clock_speed": float}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -311,19 +294,6 @@ class RigSettings:
         """Angle of one count of the encoder, rad."""
         return 2.0 * math.pi / (COUNTS_PER_LINE * self.encoder_lines)
 
-    def link(self, baud: int = 19200) -> dict[str, Any]:
-        """Return the settings of the link to the controller. The baud rate applies if none is set."""
-        return {"reply_timeout_s": self.reply_timeout_s, "baud": self.baud or baud, "clock": self.clock}
-
-
-OPTIONS: dict[str, Callable[[str], object]] = {
-    "encoder_lines": int,
-    "axis": str.upper,
-    "baud": int,
-    "reply_timeout_s": float,
-}
-SIMULATED_OPTIONS: dict[str, Callable[[str], object]] = {"encoder_lines": int, "clock_speed": float}
-
 
 def open_rig(address: str, settings: RigSettings = RigSettings()) -> Rig:
     """Open a rig without moving it."""
@@ -344,19 +314,11 @@ def check_free(name: str, state: str, settings: RigSettings) -> None:
 
 def parse_address(address: str, settings: RigSettings = RigSettings()) -> tuple[str, str, RigSettings]:
     """Return the kind, the URL and the settings that an address contains."""
-    kind, url, options = split_address(address, "rig", names_in(CONTROLLERS, GROUP), "Name the kind of rig")
-    known = SIMULATED_OPTIONS if kind == "simulated" else OPTIONS
-    values = dict[str, Any]()
-    for name, text in options:
-        if name not in known:
-            raise InputError(f"rig: unknown option '{name}' in the address. Use one of {', '.join(known)}.")
-        try:
-            values[name] = known[name](text)
-        except ValueError as error:
-            raise InputError(f"rig: '{text}' is not a value for {name}. Correct the address.") from error
-    clock_speed = values.pop("clock_speed", 1.0)
+    kind, url, texts = split_address(address, "rig", names_in(CONTROLLERS, GROUP), "Name the kind of rig")
+    options = typed_options(texts, SIMULATED_OPTIONS if kind == "simulated" else OPTIONS, "rig")
+    clock_speed = options.pop("clock_speed", 1.0)
     if kind == "simulated" and settings.clock is HOST:
         if not clock_speed > 0.0:
             raise InputError(f"rig: clock_speed must be positive, got {clock_speed:g}. Correct the address.")
-        values["clock"] = PacedClock(clock_speed)
-    return kind, url, replace(settings, **values)
+        options["clock"] = PacedClock(clock_speed)
+    return kind, url, replace(settings, **options)

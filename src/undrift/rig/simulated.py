@@ -27,13 +27,12 @@ from undrift.live.hands import description_of
 from undrift.record import FACES, Face, Record
 from undrift.rig.chamber import Chamber, ChamberSetup
 from undrift.rig.rig import (
-    ACCELERATION,
-    SLEW,
     Limits,
     Position,
     RigSettings,
     ServoReport,
     steady_angle,
+    to_counts,
 )
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device
@@ -213,14 +212,14 @@ class SimulatedTable:
 
     def set_acceleration(self, acceleration: float) -> float:
         self.limits.check_acceleration(acceleration)
-        self._acceleration = ACCELERATION.round(acceleration / self._count)
+        self._acceleration = to_counts("AC", acceleration / self._count)
         return self._acceleration * self._count
 
     def turn_for(self, turn_rate: float, seconds: float) -> float:
         self.limits.check_turn_rate(turn_rate)
         if not self._servo.powered:
             raise RigFault("rig: cannot turn, got its motor off. Switch the motor on.")
-        speed = SLEW.round(turn_rate / self._count)
+        speed = to_counts("SP", turn_rate / self._count)
         angle = steady_angle(speed, seconds, self._acceleration) * self._count
         self.limits.check_travel(self._bench.angle() + angle)
         self._servo.turn(speed, seconds, self._acceleration)
