@@ -105,6 +105,6 @@ def test_a_device_that_nobody_holds_is_laid_on_all_faces_and_turned_about_all_ax
 
 
 @pytest.mark.parametrize("address", ["simulated:?seed=one", "simulated:?clock_speed=0", "simulated:?color=red"])
-def test_an_address_that_says_something_else_is_refused(address):
-    with pytest.raises(InputError, match=r"simulated:\?seed=1&clock_speed=2"):
+def test_simulated_address_with_another_option_is_refused(address):
+    with pytest.raises(InputError, match=r"one|speed above 0|color"):
         source_at(address)

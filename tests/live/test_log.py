@@ -39,7 +39,7 @@ def listened(shape: Shape) -> list[tuple[float, bytes]]:
 @pytest.mark.parametrize("shape", [one for one in ALL if one.name not in REFUSED], ids=lambda one: one.name)
 def test_a_shape_is_described_by_three_seconds_of_it_and_read_right(shape: Shape):
     options, _ = description_of(listened(shape), "board", {})
-    sent = described(None, tuple(options.items()))
+    sent = described(options)
     decoder, made = decoder_for(sent), motion()
     rows = np.concatenate([decoder.feed(data) for _, data in pieces_of(shape)])
     lost = len(made.time) - len(rows)

@@ -73,7 +73,7 @@ def test_temperatures_without_a_chamber_and_unsafe_rates_move_nothing(tmp_path):
 
 
 def test_a_chamber_that_never_soaks_ends_in_time_and_at_rest(tmp_path, monkeypatch):
-    monkeypatch.setattr(Oven, "soaked", lambda self: False)
+    monkeypatch.setattr(Oven, "soaked", lambda self, slope: False)
     monkeypatch.setattr(run_file, "SOAK_TIMEOUT_S", 5.0)
     bench = simulated()
     with pytest.raises(RigTimeout, match=r"not steady at 30 degC within 0.1 K/min after 5 s, got 30.00 degC"):

@@ -35,6 +35,7 @@ from undrift.study.figure3 import judge_compared
 from undrift.study.sessions import WARM_C
 from undrift.study.virtual_bench import (
     SOAK,
+    SOAK_C_PER_MIN,
     Check,
     bench_device,
     bench_protocols,
@@ -54,7 +55,7 @@ BENCH = (
     "note's, whose offset drifts by 0.1 deg/s per kelvin. Table: the note's servo, with its control loop, encoder and "
     "amplifier. A run drives them as it drives hardware. Simulated time does not wait for this computer. The chamber heats "
     "by 10 K a second and the board follows within seconds. A set-point counts as reached after "
-    f"{SOAK.window_s:g} s within {SOAK.tolerance_c:g} K and {SOAK.slope_c_per_min:g} K/min. A real chamber needs 0.1 K/min "
+    f"{SOAK.window_s:g} s within {SOAK.tolerance_c:g} K and {SOAK_C_PER_MIN:g} K/min. A real chamber needs 0.1 K/min "
     "over five minutes."
 )
 

@@ -17,10 +17,11 @@ from undrift.errors import InputError
 from undrift.findings import finding, told_apart
 from undrift.live.recorder import DwellReadings, Recorder
 from undrift.live.transports import device_address, source_at
-from undrift.programme import Dwell, Mount, Programme, Soak, programme_of, read_protocol
+from undrift.plugins import typed_options
+from undrift.programme import Dwell, Mount, Programme, programme_of, read_protocol
 from undrift.report import Estimate, Report, Table
 from undrift.report.figures import draw_rig_run
-from undrift.rig.chamber import ChamberSetup, open_chamber
+from undrift.rig.chamber import ChamberSetup, Readings, open_chamber
 from undrift.rig.check import ACCELERATION, check_rig
 from undrift.rig.folder import RecordedDwell, RunFolder
 from undrift.rig.lock import one_run, stop_rig, stopping_on_signals
@@ -93,35 +94,35 @@ def run(
         Start without asking.
     """
 
-    plan, display = read_protocol(protocol), _Display()
-    limits = _limits(highest_turn_rate_dps, highest_acceleration_dps2, travel_deg)
-    settings = RigSettings(limits=limits, ask=display.ask)
-    kind, _, options = parse_address(rig, settings)
-    by_hand = kind == "manual"
-    simulated = _simulated_bench(device, (rig, chamber), options)
+    plan = read_protocol(protocol)
     programme = programme_of(plan)
+    limits = _limits(highest_turn_rate_dps, highest_acceleration_dps2, travel_deg)
+    kind, _, settings = parse_address(rig, RigSettings(limits=limits, ask=screen().ask))
+    simulated = _simulated_bench(device, (rig, chamber), settings)
     if not resume:
-        check_programme(programme, limits, by_hand=by_hand)  # before there is a folder
+        check_programme(programme, limits, by_hand=kind == "manual")  # before there is a folder
     paths = _folders(output, device, serial)
     with ExitStack() as stack:
         stack.enter_context(one_run(rig, f"undrift rig run into {output}"))
         folders = [stack.enter_context(RunFolder(path, plan, resume=resume)) for path in paths]
-        done = frozenset.intersection(*(folder.done for folder in folders))
-        check_programme(programme, limits, done, by_hand=by_hand)
-        display.plan(programme, done, yes)
+        _confirm(programme, frozenset.intersection(*(folder.done for folder in folders)), yes)
         stack.enter_context(stopping_on_signals())
+        devices: list[tuple[Readings, str]]
         if simulated is None:
-            longest_s = max(dwell.duration_s for dwell in programme.dwells)
-            devices = [_connect(stack, url, folder, longest_s) for url, folder in zip(device, folders, strict=True)]
-            settings = replace(settings, accept="on" if resume else "off")
-            bench = _bench(stack, (rig, chamber), settings, programme)
+            keep_s = max(600.0, 2.0 * max(dwell.duration_s for dwell in programme.dwells))  # at least two dwells
+            live = [_connect(stack, url, keep_s) for url in device]
+            devices = [(readings, readings.recorder.source.description.device) for readings in live]
+            bench = _bench(stack, (rig, chamber), replace(settings, accept="on" if resume else "off"))
         else:
             oven = None if chamber is None else simulated.chamber
             bench = RigBench(rig=simulated.table, mounting=simulated, chamber=oven, clock=simulated.clock)
-            parts = zip(simulated.devices, simulated.readings, folders, strict=True)
-            devices = [Mounted(readings=r, folder=folder, serial=d.model.serial) for d, r, folder in parts]
-        devices[0].serial = serial or devices[0].serial
-        results = run_programme(programme, bench, *devices, report=display)
+            devices = [(readings, readings.description.device) for readings in simulated.readings]
+        mounted = [
+            Mounted(readings=readings, folder=folder, serial=name)
+            for (readings, name), folder in zip(devices, folders, strict=True)
+        ]
+        mounted[0].serial = serial or mounted[0].serial
+        results = run_programme(programme, bench, *mounted, report=_show)
     return run_report(dict(zip(paths, results, strict=True)))
 
 
@@ -196,83 +197,56 @@ def _simulated_bench(
         )
     models, settings = [], SimulatedSettings(limits=options.limits)
     for text in devices:
-        options_of_device = dict(device_address(text)[2])
-        name = options_of_device.pop("device", "")
-        try:
-            seed, tilt_deg = int(options_of_device.pop("seed", "0")), float(options_of_device.pop("tilt_deg", "0"))
-        except ValueError as error:
-            raise InputError(
-                f"device: expected numbers for seed and tilt_deg, got '{text}'. Correct the address."
-            ) from error
-        if options_of_device:
-            raise InputError(
-                f"device: expected the options seed, device and tilt_deg only, got '{text}'. Correct the address."
-            )
+        values = typed_options(device_address(text)[2], {"seed": int, "tilt_deg": float, "device": str}, "device")
+        seed, name = values.get("seed", 0), values.get("device", "")
         rng = np.random.default_rng(seed)
         models.append(device_at(name, rng, draw=name in PRESETS) if name else random_device(rng, grade="consumer"))
-        settings = replace(settings, seed=seed, mount_tilt_sd=tilt_deg * DPS)
+        settings = replace(settings, seed=seed, mount_tilt_sd=values.get("tilt_deg", 0.0) * DPS)
     return SimulatedBench(models, settings, options.clock)
 
 
-def _connect(stack: ExitStack, address: str, folder: RunFolder, longest_s: float) -> Mounted:
-    """Connect a device. Its readings are stored for at least two dwells."""
-    source = source_at(address)
-    recorder = Recorder(source, keep_s=max(600.0, 2.0 * longest_s))
-    recorder.start()
-    readings = DwellReadings(recorder)
+def _connect(stack: ExitStack, address: str, keep_s: float) -> DwellReadings:
+    """Connect a device whose readings are stored for a time."""
+    readings = DwellReadings(Recorder(source_at(address), keep_s=keep_s))
+    readings.recorder.start()
     stack.callback(readings.close)
-    return Mounted(readings=readings, folder=folder, serial=source.description.device)
+    return readings
 
 
-def _bench(
-    stack: ExitStack, addresses: tuple[str, str | None], settings: RigSettings, programme: Programme
-) -> RigBench:
+def _bench(stack: ExitStack, addresses: tuple[str, str | None], settings: RigSettings) -> RigBench:
     """Connect chamber, operator and, last, the table."""
     rig, chamber = addresses
-    ask, clock = screen().ask, settings.clock
-    oven = None
+    ask, oven = screen().ask, None
     if chamber is not None:
-        slopes = [step.slope_c_per_min for step in programme.steps if isinstance(step, Soak)]
-        slope = min(slopes, default=ChamberSetup().slope_c_per_min)
-        oven = open_chamber(chamber, ChamberSetup(slope_c_per_min=slope, clock=clock), ask=ask)
-        stack.callback(oven.close)
+        oven = stack.enter_context(open_chamber(chamber, ChamberSetup(clock=settings.clock), ask=ask))
     table = open_rig(rig, settings)
     stack.callback(table.close)
-    return RigBench(rig=table, mounting=AskedOperator(ask), chamber=oven, clock=clock)
+    return RigBench(rig=table, mounting=AskedOperator(ask), chamber=oven, clock=settings.clock)
 
 
-class _Display:
-    """Shows on a screen where a run is, and asks its operator there."""
+def _confirm(programme: Programme, done: frozenset[int], yes: bool) -> None:
+    """Show the duration of each step and of the run, and ask whether to start."""
+    steps = [(number, step) for number, step in enumerate(programme.steps) if number not in done]
+    dwells_s = [step.duration_s for _, step in steps if isinstance(step, Dwell)]
+    mountings = sum(isinstance(step, Mount) for _, step in steps)
+    screen().say(
+        *(f"{number:5d}  {_clock(step.duration_s)}  {step}" for number, step in steps),
+        f"{len(dwells_s)} dwells, {_clock(sum(dwells_s))} of rig time. With {mountings} mountings and the chamber about "
+        f"{_clock(sum(step.duration_s for _, step in steps))}",
+        *([f"{len(done)} dwells are on the disk already"] if done else []),
+    )
+    with suppress(EOFError):
+        yes = yes or screen().ask("Start? (y/N) ").strip().lower() in ("y", "yes")
+    if not yes:
+        raise InputError("rig run: the start was not confirmed, and nothing moved. Answer y, or use `yes`.")
 
-    def __init__(self) -> None:
-        self._screen = screen()
-        self.ask = self._screen.ask
 
-    def plan(self, programme: Programme, done: frozenset[int], yes: bool) -> None:
-        """Show how long each step and the whole takes, and ask whether to start."""
-
-        pending = [step for number, step in enumerate(programme.steps) if number not in done]
-        dwells = [step for step in pending if isinstance(step, Dwell)]
-        mountings = sum(isinstance(step, Mount) for step in pending)
-        steps = ((number, step) for number, step in enumerate(programme.steps) if number not in done)
-        self._screen.say(
-            *(f"{number:5d}  {_clock(step.duration_s)}  {step}" for number, step in steps),
-            f"{len(dwells)} dwells, {_clock(sum(dwell.duration_s for dwell in dwells))} of rig time. With {mountings} "
-            f"mountings and the chamber about "
-            f"{_clock(sum(step.duration_s for step in pending))}",
-            *([f"{len(done)} dwells are on the disk already"] if done else []),
-        )
-        with suppress(EOFError):
-            yes = yes or self._screen.ask("Start? (y/N) ").strip().lower() in ("y", "yes")
-        if not yes:
-            raise InputError("rig run: the start was not confirmed, and nothing moved. Answer y, or use `yes`.")
-
-    def __call__(self, progress: Progress) -> None:
-        """Update the position of the run. In a log, a step is a single line, printed when it has readings."""
-        line = f"[{progress.number + 1}/{progress.steps}] {_clock(progress.left_s)} left  {progress.step}, {progress.phase}"
-        logged = bool(progress.live) or progress.phase in ("mounting", "closing")
-        step = progress.number if logged else None
-        self._screen.over(f"{line}  {progress.live}".rstrip(), step=step, last=progress.phase == "closing")
+def _show(progress: Progress) -> None:
+    """Show the position of a run. In a log, a step is a single line, printed when it has readings."""
+    line = f"[{progress.number + 1}/{progress.steps}] {_clock(progress.left_s)} left  {progress.step}, {progress.phase}"
+    is_logged = bool(progress.live) or progress.phase in ("mounting", "closing")
+    step = progress.number if is_logged else None
+    screen().over(f"{line}  {progress.live}".rstrip(), step=step, last=progress.phase == "closing")
 
 
 def stop(*, rig: TableAddress) -> Report:
@@ -305,17 +279,18 @@ def check(
     travel_deg : float or None
         Largest angle of the table in either direction, deg. Unlimited by default.
     """
-    wave_dps2 = ACCELERATION / DPS
-    kind, _, settings = parse_address(rig, RigSettings(limits=_limits(turn_rate_dps, wave_dps2, travel_deg)))
+    limits = _limits(turn_rate_dps, ACCELERATION / DPS, travel_deg)
+    kind, _, settings = parse_address(rig, RigSettings(limits=limits, accept="on"))
     if kind == "manual":
         raise InputError("rig check: expected a table with a motor, got manual:. Name the address of a table.")
     with ExitStack() as stack:
         stack.enter_context(one_run(rig, "undrift rig check"))
         stack.enter_context(stopping_on_signals())
-        table = open_rig(rig, replace(settings, accept="on"))
+        table = open_rig(rig, settings)
         stack.callback(table.close)
-        wave = {"turn_rate": turn_rate_dps * DPS, "duration_s": seconds}
-        result = check_rig(table, settings.clock, **wave, report=screen().over)
+        result = check_rig(
+            table, settings.clock, turn_rate=turn_rate_dps * DPS, duration_s=seconds, report=screen().over
+        )
     servo, largest_deg = result.servo, result.largest / DPS
     failed = finding(
         "rig_check.error",
@@ -341,12 +316,7 @@ def check(
         ],
         findings=[failed] if largest_deg > limit_deg else [],
         judged=True,
-        data={
-            "rig": rig,
-            "identity": result.identity,
-            "achieved_dps": result.turn_rate / DPS,
-            "servo": asdict(servo),
-        },
+        data={"rig": rig, "identity": result.identity, "achieved_dps": result.turn_rate / DPS, "servo": asdict(servo)},
     )
 
 

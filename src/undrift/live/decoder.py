@@ -8,16 +8,17 @@ import binascii
 import re
 import struct
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
 from functools import reduce
 from operator import xor
-from typing import Annotated, Any, Literal, NamedTuple, get_args
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, Shape, freeze
-from undrift.errors import InputError, check_positive
+from undrift.errors import InputError, check_choices, check_positive
+from undrift.plugins import typed_options
 from undrift.record import Record
 from undrift.units import canonical_unit
 
@@ -41,7 +42,6 @@ CHECKSUMS = {
 
 # ---- StreamDescription: channels, units and framing of what a device sends.
 
-Framing = Literal["line", "frame", "log"]
 COUNTER, IGNORED = "count", "-"
 TRIADS = ("gyro", "accel", "mag")
 MEASURED = (*(f"{triad}_{axis}" for triad in TRIADS for axis in "xyz"), "temp")
@@ -64,9 +64,13 @@ class StreamDescription:
     temp_zero: float = 0.0  # temperature of the number 0, degC
     tick: float = 0.0  # device seconds per step of the counter (0 for a counter of readings)
     counter_bits: int = 0  # width of the counter (0 for a counter that never wraps)
-    format: Framing = "line"  # line (only numbers), frame (binary) or log (any text of io/log.py)
+    format: Literal["line", "frame", "log"] = (
+        "line"  # line (only numbers), frame (binary) or log (any text of io/log.py)
+    )
     separator: str = ","  # separator of the numbers in a line, or in a log the words before a reading's first number
-    checksum: str = "none"  # none, xor or crc16, after a line as ``*hex`` and after a frame as bytes
+    checksum: Literal["none", "xor", "crc16"] = (
+        "none"  # none, xor or crc16, after a line as ``*hex`` and after a frame as bytes
+    )
     sync: str = "aa55"  # first bytes of a frame, hex
     # fields of a frame in the format of Python's struct, with one field per channel, < or > for the byte order
     pack: str = ""
@@ -79,11 +83,7 @@ class StreamDescription:
         check_positive(self, "stream", "Set the unit per step", "gyro_gain", "accel_gain")
         object.__setattr__(self, "gyro_unit", canonical_unit(self.gyro_unit, "rate"))
         object.__setattr__(self, "accel_unit", canonical_unit(self.accel_unit, "accel"))
-        if self.format not in get_args(Framing):
-            raise InputError(f"stream: format must be line, frame or log, got '{self.format}'. Set another format.")
-        if self.checksum not in CHECKSUMS:
-            names = ", ".join(CHECKSUMS)
-            raise InputError(f"stream: checksum must be one of {names}, got '{self.checksum}'. Set another checksum.")
+        check_choices(self, "stream")
         if not 0 <= self.counter_bits <= 53 or self.tick < 0.0:
             raise InputError(
                 f"stream: counter_bits must be 0 to 53 and tick 0 or more, got {self.counter_bits} and {self.tick:g}. "
@@ -151,20 +151,13 @@ class StreamDescription:
             raise InputError("stream: no channel of gyro or accel. List the channels that the device sends.")
 
 
-KINDS: dict[str, Any] = {field.name: type(field.default) for field in fields(StreamDescription)}
+TYPES: dict[str, Any] = {field.name: type(field.default) for field in fields(StreamDescription)}
+TYPES["channels"] = lambda text: tuple(text.split(","))
 
 
-def described(base: StreamDescription | None, options: tuple[tuple[str, str], ...]) -> StreamDescription:
-    """Return a description with the options of an address applied to it."""
-    values: dict[str, object] = {}
-    for name, text in options:
-        if name not in KINDS:
-            raise InputError(f"stream: unknown option '{name}' in the address. Use one of {', '.join(KINDS)}.")
-        try:
-            values[name] = tuple(text.split(",")) if KINDS[name] is tuple else KINDS[name](text)
-        except ValueError as error:
-            raise InputError(f"stream: '{text}' is not a number for {name}. Correct the address.") from error
-    return StreamDescription(**values) if base is None else replace(base, **values)  # type: ignore[arg-type]
+def described(options: Mapping[str, str]) -> StreamDescription:
+    """Return the description in the options of an address."""
+    return StreamDescription(**typed_options(tuple(options.items()), TYPES, "stream"))
 
 
 # ---- Counters: the device's counter without wraps and restarts.

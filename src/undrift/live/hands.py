@@ -27,7 +27,7 @@ from undrift.base.clock import Clock
 from undrift.errors import InputError, LinkError, RigTimeout
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate, rotation_vector
 from undrift.live.decoder import COUNTER, MEASURED, Chunk, StreamDescription
-from undrift.live.transports import Address, number_of
+from undrift.plugins import typed_options
 from undrift.record import FACES, Axis, Face
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device
@@ -263,18 +263,13 @@ class HandHeldSource:
             self._held.close()
 
 
-def source_of(address: Address) -> HandHeldSource:
+def source_of(place: str, options: dict[str, str]) -> HandHeldSource:
     """Return the source of an address, either a device of this process or a new device without an operator."""
-    if address.place:
-        device = _HELD.get(f"{KIND}:{address.place}")
+    if place:
+        device = _HELD.get(f"{KIND}:{place}")
         if device is None:
-            raise InputError(f"device: unknown device 'simulated:{address.place}' in this process. Omit the number.")
+            raise InputError(f"device: unknown device 'simulated:{place}' in this process. Omit the number.")
         return HandHeldSource(device, owns_device=False)
-    seed, speed = address.option("seed", ""), number_of(address.option("clock_speed", "1"))
-    if (
-        (seed and not seed.isdigit())
-        or not speed > 0.0
-        or {name for name, _ in address.options} - {"seed", "clock_speed"}
-    ):
-        raise InputError("device: the address must have the form simulated:?seed=1&clock_speed=2. Correct it.")
-    return HandHeldSource(HandHeld(seed=int(seed) if seed else None, clock=Clock.started(speed)), owns_device=True)
+    values = typed_options(tuple(options.items()), {"seed": int, "clock_speed": float}, "device")
+    clock = Clock.started(values.get("clock_speed", 1.0))
+    return HandHeldSource(HandHeld(seed=values.get("seed"), clock=clock), owns_device=True)

@@ -8,6 +8,7 @@ used. Otherwise time is derived from its counter or from the order of the readin
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 from urllib.parse import urlencode
 
 import numpy as np
@@ -84,9 +85,7 @@ def described_address(address: str) -> tuple[str, tuple[str, ...]]:
     given_options = dict(options)
     if kind not in BYTE_WAYS or {"channels", "rate", "format"} & given_options.keys():
         return address, ()
-    source = source_at(address, ANY)
-    if not isinstance(source, ByteSource):
-        return address, ()
+    source = cast(ByteSource, source_at(f"{address}{'&' if options else '?'}channels={','.join(ANY.channels)}&rate=1"))
     try:
         pieces = listen(source)
     finally:

@@ -3,8 +3,8 @@
     tcp://host:port        udp://:port        serial:///dev/ttyUSB0?baud=115200        lsl:name
 
 The options are the fields of a StreamDescription. A TCP device is a server to which this computer connects. A UDP device sends
-whole datagrams to a port of this computer. LSL provides its own time stamps. A new kind of source needs a function from an Address
-to a Source, and a row in SOURCES.
+whole datagrams to a port of this computer. LSL provides its own time stamps. A new kind of source needs a function like
+``tcp_source`` and a row in SOURCES.
 """
 
 import importlib
@@ -12,7 +12,7 @@ import os
 import socket
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 from urllib.parse import urlsplit
@@ -56,30 +56,10 @@ class Source(Protocol):
         """Close the source. A second call has no effect."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Address:
-    """Parts of an address."""
-
-    kind: str  # kind of source, a key of SOURCES
-    place: str  # text between the colon and the question mark
-    options: Options = ()  # options after the question mark
-    description: StreamDescription | None = None  # description to which the options are applied
-    clock: Clock = HOST  # clock for timeouts and times of arrival
-
-    def option(self, name: str, default: str) -> str:
-        """Return an option of the address, or the default."""
-        return dict(self.options).get(name, default)
-
-    def describe(self, *source_options: str) -> StreamDescription:
-        """Return the stream description from the options. `source_options` are not part of the description."""
-        return described(self.description, tuple(pair for pair in self.options if pair[0] not in source_options))
-
-
-def source_at(text: str, description: StreamDescription | None = None, clock: Clock = HOST) -> Source:
-    """Return the unopened source of an address."""
+def source_at(text: str, clock: Clock = HOST) -> Source:
+    """Return the unopened source of an address. The clock is for timeouts and times of arrival."""
     kind, place, options = device_address(text)
-    address = Address(kind=kind, place=place, options=options, description=description, clock=clock)
-    return SOURCES[kind](address)
+    return SOURCES[kind](place, dict(options), clock)
 
 
 def device_address(text: str) -> tuple[str, str, Options]:
@@ -199,12 +179,12 @@ def lsl_streams() -> list[tuple[str, str]]:
     return [(info.name(), f"{info.type()}, {info.channel_count()} channels, {rate:g} Hz") for info, rate in streams]
 
 
-def package_of(module: str, package: str, who: str, extra: str = "live") -> Any:
+def package_of(module: str, package: str, who: str) -> Any:
     """Import an optional package, or raise LinkError with the package to install."""
     try:
         return importlib.import_module(module)
     except (ImportError, RuntimeError) as error:  # pylsl raises RuntimeError if its library is missing
-        raise LinkError(f"{who}: the package {package} is missing. Run pip install undrift[{extra}].") from error
+        raise LinkError(f"{who}: the package {package} is missing. Run pip install undrift[live].") from error
 
 
 # ---- Sources, which open a port and read it until a reading is complete.
@@ -311,27 +291,28 @@ class LslSource(ByteSource):
         return f"{self.errors} samples of another width than {width}" if self.errors else "nothing"
 
 
-def _listed(address: Address) -> tuple[str, int]:
-    host, port = host_and_port(address.place)
-    if not port:
-        expected = f"{address.kind}://host:port"
-        raise InputError(f"device: expected {expected}, got '{address.kind}:{address.place}'. Enter host and port.")
-    return host, port
+# ---- Kinds of sources: functions of the place and the options of an address.
+
+PlaceOptions = dict[str, str]
 
 
-def tcp_source(address: Address) -> Source:
+def _address_error(kind: str, place: str) -> InputError:
+    return InputError(f"device: expected {kind}://host:port, got '{kind}:{place}'. Enter host and port.")
+
+
+def tcp_source(place: str, options: PlaceOptions, clock: Clock) -> Source:
     """Return a source that connects over TCP."""
-    host, port = _listed(address)
-    if not host:
-        raise InputError(f"device: expected tcp://host:port, got no host in '{address.place}'. Enter the host.")
-
-    url = f"tcp://{host}:{port}"
-    return ByteSource(url, address.describe(), lambda: open_port(url, 0, address.clock), address.clock)
+    if not all(host_and_port(place)):
+        raise _address_error("tcp", place)
+    url = f"tcp:{place}"
+    return ByteSource(url, described(options), lambda: open_port(url, 0, clock), clock)
 
 
-def udp_source(address: Address) -> Source:
+def udp_source(place: str, options: PlaceOptions, clock: Clock) -> Source:
     """Return a source that listens for datagrams."""
-    host, port = _listed(address)
+    host, port = host_and_port(place)
+    if not port:
+        raise _address_error("udp", place)
 
     def connect() -> SocketPort:
         listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -343,44 +324,43 @@ def udp_source(address: Address) -> Source:
             raise
         return SocketPort(listener, datagrams=True)
 
-    return ByteSource(f"udp://{host}:{port}", address.describe(), connect)
+    return ByteSource(f"udp:{place}", described(options), connect, clock)
 
 
-def serial_source(address: Address) -> Source:
+def serial_source(place: str, options: PlaceOptions, clock: Clock) -> Source:
     """Return a source that reads a serial port."""
-    place, text = address.place.removeprefix("//"), address.option("baud", str(BAUD))
-    if not place or not text.isdigit() or int(text) == 0:
+    path, baud = place.removeprefix("//"), options.pop("baud", str(BAUD))
+    if not path or not baud.isdigit() or int(baud) == 0:
         raise InputError(
-            f"device: expected serial:///dev/name?baud=115200, got '{place}' and baud '{text}'. Enter both."
+            f"device: expected serial:///dev/name?baud=115200, got '{path}' and baud '{baud}'. Enter both."
         )
-    return ByteSource(f"serial:{place}", address.describe("baud"), lambda: SerialPort(place, int(text)))
+    return ByteSource(f"serial:{path}", described(options), lambda: SerialPort(path, int(baud)), clock)
 
 
-def lsl_source(address: Address) -> Source:
+def lsl_source(place: str, options: PlaceOptions, clock: Clock) -> Source:
     """Return a source that reads an LSL stream."""
-    name = address.place
-    if not name:
+    if not place:
         raise InputError("device: expected lsl:name, got no name. Enter the stream's name.")
 
     def connect() -> Any:
         pylsl = package_of("pylsl", "pylsl", "lsl")
-        streams = pylsl.resolve_byprop("name", name, timeout=RESOLVE_S)
+        streams = pylsl.resolve_byprop("name", place, timeout=RESOLVE_S)
         if not streams:
-            raise LinkError(f"lsl:{name}: no stream with that name within {RESOLVE_S:g} s. Start the sender.")
+            raise LinkError(f"lsl:{place}: no stream with that name within {RESOLVE_S:g} s. Start the sender.")
         flags = pylsl.proc_dejitter | pylsl.proc_monotonize
         return pylsl.StreamInlet(streams[0], recover=False, processing_flags=flags)
 
-    return LslSource(f"lsl:{name}", address.describe(), connect)
+    return LslSource(f"lsl:{place}", described(options), connect)
 
 
-def simulated_source(address: Address) -> Source:
+def simulated_source(place: str, options: PlaceOptions, clock: Clock) -> Source:
     """Return the source of a simulated device in the hands of an operator."""
     from undrift.live.hands import source_of  # which imports this module
 
-    return source_of(address)
+    return source_of(place, options)
 
 
-SOURCES: dict[str, Callable[[Address], Source]] = {
+SOURCES: dict[str, Callable[[str, PlaceOptions, Clock], Source]] = {
     "tcp": tcp_source,
     "udp": udp_source,
     "serial": serial_source,

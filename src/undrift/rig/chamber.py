@@ -50,7 +50,6 @@ class ChamberSetup:
 
     lowest_c: float = 0.0  # lowest set-point, degC (a lower one raises LimitError before a byte is sent)
     highest_c: float = 80.0  # highest set-point, degC
-    slope_c_per_min: float = 0.1  # largest slope of a steady temperature, K/min
     window_s: float = 300.0  # window of the criterion, chamber s
     tolerance_c: float = 0.5  # largest distance from the set-point, K
     reply_timeout_s: float = 2.0  # longest wait for an answer, host s
@@ -77,8 +76,8 @@ class Steadiness:
             return math.inf
         t, temp = np.array(self._readings).T
         half = len(t) // 2
-        windows = ((t, temp), (t[:half], temp[:half]), (t[half:], temp[half:]))
-        return 60.0 * max(abs(_slope(*window)) for window in windows)
+        windows = (slice(None), slice(half), slice(half, None))
+        return 60.0 * max(abs(_slope(t[rows], temp[rows])) for rows in windows)
 
     def error_c(self, temp_c: float) -> float:
         """Return the largest distance of the readings from a set-point, K."""
@@ -92,7 +91,7 @@ def _slope(t: FloatArray, temp: FloatArray) -> float:
 
 
 class Chamber(AbstractContextManager["Chamber"]):
-    """Base class of connected chambers, a context manager that closes the chamber at the end."""
+    """Base class of connected chambers, a context manager that switches the chamber off at the end."""
 
     near_c: float | None = None  # largest distance of a device from the set-point, K, if the air has no thermometer
 
@@ -121,17 +120,19 @@ class Chamber(AbstractContextManager["Chamber"]):
 
     def read(self) -> float | None:
         """Return the current air temperature, degC, or None if it cannot be read."""
-        temp = self._measure()
-        self._steadiness.add(self.settings.clock.now(), temp)
-        return temp
+        temp_c = self._measure()
+        if temp_c is not None:
+            self._steadiness.add(self.settings.clock.now(), temp_c)
+        return temp_c
 
-    def soaked(self) -> bool:
-        """Read the temperature and return True if it is steady at the set-point."""
+    def soaked(self, slope_c_per_min: float = 0.1) -> bool:
+        """Read the air and return True if it is steady at the set-point within a slope, or if it cannot be read."""
         if self._set_point is None:
             raise InputError("chamber: no set-point before the soak. Set the temperature first.")
-        self.read()
-        is_near = self._steadiness.error_c(self._set_point) <= self.settings.tolerance_c
-        return is_near and self._steadiness.slope_c_per_min() < self.settings.slope_c_per_min
+        return self.read() is None or (
+            self._steadiness.error_c(self._set_point) <= self.settings.tolerance_c
+            and self._steadiness.slope_c_per_min() < slope_c_per_min
+        )
 
     def close(self) -> None:
         """Switch the chamber off. A second call has no effect."""
@@ -149,8 +150,8 @@ class Chamber(AbstractContextManager["Chamber"]):
         """Switch the chamber on, set its set-point and return the set-point that the chamber reports, degC."""
 
     @abstractmethod
-    def _measure(self) -> float:
-        """Return the temperature of the chamber's thermometer, degC."""
+    def _measure(self) -> float | None:
+        """Return the temperature of the chamber's thermometer, degC, or None without thermometer."""
 
 
 class ScpiChamber(Chamber):
@@ -160,7 +161,7 @@ class ScpiChamber(Chamber):
         super().__init__(settings)
         self._link = Link(url, reply_timeout_s=settings.reply_timeout_s, baud=BAUD, clock=settings.clock)
         try:
-            self.identity = self._ask("*IDN?")
+            self.identity = self._link.exchange("*IDN?").strip()
             if self.identity.count(",") != 3:
                 raise LinkError(
                     f"{url}: '{self.identity}' is not maker, model, number and firmware of a chamber. Check the address."
@@ -169,23 +170,17 @@ class ScpiChamber(Chamber):
             self._link.close()
             raise
 
-    def close(self) -> None:
-        """Switch the chamber off and close the link, which may be lost. A second call has no effect."""
-        if not self._closed:
-            try:
-                with contextlib.suppress(RigError):
-                    self._link.reconnect()  # so that a late answer cannot prevent switching off
-                super().close()
-            finally:
-                self._link.close()
-
     def switch_off(self) -> None:
-        if self._number("OUTP OFF;:OUTP?") != 0.0:
-            raise RigFault("chamber: heater and compressor are still on. Switch the chamber off by hand.")
+        try:
+            self._link.reconnect()  # so that a late answer cannot prevent switching off
+            if self._number("OUTP OFF;:OUTP?") != 0.0:
+                raise RigFault("chamber: heater and compressor are still on. Switch the chamber off by hand.")
+        finally:
+            self._link.close()
 
     def _send(self, temp_c: float) -> float:
         actual_c = self._number(f"TEMP:SPO {temp_c:.2f};:OUTP ON;:TEMP:SPO?")
-        answer = self._ask("SYST:ERR?")
+        answer = self._link.exchange("SYST:ERR?").strip()
         if answer.partition(",")[0] not in ("0", "+0"):
             raise RigFault(f"chamber: the command failed, got error {answer[:60]}. Check the chamber.")
         return actual_c
@@ -193,11 +188,8 @@ class ScpiChamber(Chamber):
     def _measure(self) -> float:
         return self._number("MEAS:TEMP?")
 
-    def _ask(self, text: str) -> str:
-        return self._link.exchange(text).strip()
-
     def _number(self, text: str) -> float:
-        answer = self._ask(text)
+        answer = self._link.exchange(text).strip()
         if not math.isfinite(value := number_of(answer)):
             raise LinkError(
                 f"chamber: expected a number in answer to '{text}', got '{answer[:60]}'. Check link and chamber."
@@ -228,18 +220,12 @@ class HandChamber(Chamber):
         super().__init__(settings)
         self._ask = ask
 
-    def read(self) -> None:
-        return
-
-    def soaked(self) -> bool:
-        return True
-
     def switch_off(self) -> None:
         if self._set_point is not None:
             log.warning("chamber: set by hand, so it is still on. Switch it off.")
 
-    def _measure(self) -> float:
-        return math.nan
+    def _measure(self) -> None:
+        return None
 
     def _send(self, temp_c: float) -> float:
         line = f"Set the chamber to {temp_c:g} degC, then press Enter (q gives up): "
@@ -300,11 +286,11 @@ class BoardWatch:
     """Temperature of a device during a soak, which starts at construction."""
 
     def __init__(self, readings: Readings, clock: Clock, step: Soak, chamber: Chamber) -> None:
-        self._readings, self._clock, self._step = readings, clock, step
-        self._near_c, self._window_s = chamber.near_c, chamber.settings.window_s
-        self._steadiness = Steadiness(self._window_s)
+        self._readings, self._clock, self._step, self._near_c = readings, clock, step, chamber.near_c
+        self._steadiness, self._look_s = Steadiness(chamber.settings.window_s), chamber.settings.window_s / LOOKS
         self.temp_c: float | None = None  # latest temperature of the device, degC
-        self._look_after_s, self._air_since, self._since = FIRST_LOOK_S, math.inf, clock.now()
+        self._since, self._next, self._air_since = clock.now(), clock.now() + FIRST_LOOK_S, math.inf
+        self._has_looked = False
         readings.start(certain=False)  # the board changes slowly, so the exact start does not matter
 
     def __str__(self) -> str:
@@ -313,10 +299,10 @@ class BoardWatch:
     def followed(self, air_steady: bool) -> bool:
         """Return True if air and board are steady. Raise RigFault if the board is steady far from the set-point."""
         now = self._clock.now()
-        if now - self._since >= self._look_after_s:
-            self._read_board(now)
+        if now >= self._next:
+            self._look(now)
         self._air_since = min(self._air_since, now) if air_steady else math.inf
-        if not air_steady or self._look_after_s == FIRST_LOOK_S:
+        if not air_steady or not self._has_looked:
             return False
         if self.temp_c is None:
             if self._near_c is not None:
@@ -332,14 +318,14 @@ class BoardWatch:
             )
         return steady
 
-    def _read_board(self, now: float) -> None:
-        record = self._readings.stop()
+    def _look(self, now: float) -> None:
+        """Read the mean temperature since the previous reading."""
+        temp_c = mean_temp(self._readings.stop())
         self._readings.start(certain=False)
-        middle, self._since, self._look_after_s = 0.5 * (self._since + now), now, self._window_s / LOOKS
-        temp_c = mean_temp(record)
         if temp_c is not None:
             self.temp_c = temp_c
-            self._steadiness.add(middle, temp_c)
+            self._steadiness.add(0.5 * (self._since + now), temp_c)
+        self._since, self._next, self._has_looked = now, now + self._look_s, True
 
 
 def mean_temp(record: Record) -> float | None:

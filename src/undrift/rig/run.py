@@ -232,7 +232,7 @@ class _Run:
         last = self._clock.now() + SOAK_TIMEOUT_S
         boards = self._sound(self._due, lambda device: BoardWatch(device.readings, self._clock, step, chamber))
         while True:
-            self._air_steady = chamber.soaked()
+            self._air_steady = chamber.soaked(step.slope_c_per_min)
             steady = self._sound(boards, lambda device: boards[device].followed(self._air_steady))
             if all(steady.values()):
                 return

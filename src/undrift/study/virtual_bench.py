@@ -43,7 +43,7 @@ UNIT_SEED = 1  # its pitch gyroscope drifts by 0.1 deg/s per K, well inside what
 SET_POINTS_C = (18.0, 31.0, 38.0, 45.0)  # (the worn board is at 37.5 degC, the bench at 25 degC)
 THERMOMETER_LAG_S = 5.0  # in the chamber's moving air
 AIR = AirSettings(ramp_c_per_min=600.0, period_s=8.0, damping=0.8, board_lag_s=4.0)
-SOAK = ChamberSetup(slope_c_per_min=0.5, window_s=20.0)
+SOAK, SOAK_C_PER_MIN = ChamberSetup(window_s=20.0), 0.5
 SETTLE_S = 35.0  # forecast of the air: overshoot, then the window
 
 Tell = Callable[[str, float], None]  # receives the current activity, and the share of the recordings that is done
@@ -62,7 +62,7 @@ def bench_protocols(*, quick: bool = False) -> tuple[Protocol, Protocol]:
         turn_rate_max=90.0 * RADIAN_PER_DEGREE,
         turn_rate_step=45.0 * RADIAN_PER_DEGREE,
         temperatures_c=SET_POINTS_C[1:3] if quick else SET_POINTS_C,
-        soak_c_per_min=0.5,
+        soak_c_per_min=SOAK_C_PER_MIN,
         board_lag_s=AIR.board_lag_s,
     )
     least = (45.0 if quick else 15.0) * RADIAN_PER_DEGREE
