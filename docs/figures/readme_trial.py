@@ -43,7 +43,7 @@ def errors() -> tuple[np.ndarray, dict[str, np.ndarray], dict[str, float]]:
         "calibrated": validate_trial(records[0], references[0], calibration=calibration),
     }
     time = trials["raw"].time
-    moving = np.flatnonzero(trials["raw"].moving > 0.5)
+    moving = np.flatnonzero(trials["raw"].moving)
     shown = slice(moving[0], moving[-1])
     courses = {name: np.degrees(t.error.total[shown]) for name, t in trials.items()}
     return time[shown] - time[moving[0]], courses, {name: t.figures.end_total_deg for name, t in trials.items()}

@@ -12,6 +12,7 @@ as in strapdown, the lag is half a sample shorter.
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -386,32 +387,40 @@ def lag_line(
     )  # fmt: skip
 
 
-def in_step(
-    record: Record, poses: Reference, longest_lag_s: float = LONGEST_LAG_S
-) -> tuple[Record, Lag, list[Finding]]:
-    """Return the record on a clock with the reference's rate, its lag, and a finding if samples were lost."""
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Clocks:
+    """A recording in step with its reference."""
+
+    time: FloatArray  # (N,), times of the recording on a clock that runs at the rate of the reference's clock
+    lag: Lag  # of the recording behind the reference
+    reference: Reference  # without poses that only fill the file up
+    poses: Reference  # the same at the frames that the cameras took
+    findings: tuple[Finding, ...]  # samples that were lost
+
+
+def in_step(record: Record, reference: Reference, longest_lag_s: float = LONGEST_LAG_S) -> Clocks:
+    """Find the lag of a recording behind its reference, and whether both clocks run alike."""
+    poses = native_poses(reference)
     lag, rates = find_lag(record, poses, longest_lag_s), pose_rates(poses)
     common = (rates.start + lag.seconds >= record.time[0]) & (rates.stop + lag.seconds <= record.time[-1])
     span_s = float(np.ptp(rates.start[common])) if common.any() else 0.0
-    if not span_s > PARTS * LEAST_PART_S:
-        return record, lag, []
-    parts = [rates.part(rows) for rows in np.array_split(np.flatnonzero(common), PARTS)]
-    try:
-        line = lag_line(record, parts, near=lag.seconds)
-    except AlignmentError:  # a part is still, or has no poses
-        return record, lag, []
-    if abs(line.skew) * span_s > LEAST_SKEW_S and abs(line.skew) > SKEW_SIGMAS * line.skew_uncertainty:
-        record = replace(record, time=record.time - line.skew * (record.time - line.lag_s - line.middle_s))
-        lag = find_lag(record, poses, longest_lag_s)
-    lost_s = float(np.ptp(line.off_s))
-    out_of_step = finding(
-        "sync.out_of_step",
-        "warn",
-        f"Recording and reference are out of step: their lag changes by {1e3 * lost_s:.0f} ms, not in proportion to "
-        "time. Samples were lost, or the two do not belong together.",
-        "Check both files for lost samples, or judge each part by itself.",
-    )
-    return record, lag, [out_of_step] if lost_s > OUT_OF_STEP_S else []
+    line: LagLine | None = None
+    if span_s > PARTS * LEAST_PART_S:
+        parts = [rates.part(rows) for rows in np.array_split(np.flatnonzero(common), PARTS)]
+        with suppress(AlignmentError):  # a part is still, or has no poses
+            line = lag_line(record, parts, near=lag.seconds)
+    findings: tuple[Finding, ...] = ()
+    if line is not None:
+        if abs(line.skew) * span_s > LEAST_SKEW_S and abs(line.skew) > SKEW_SIGMAS * line.skew_uncertainty:
+            record = replace(record, time=record.time - line.skew * (record.time - line.lag_s - line.middle_s))
+            lag = find_lag(record, poses, longest_lag_s)
+        if (lost_s := float(np.ptp(line.off_s))) > OUT_OF_STEP_S:
+            sentence = f"Recording and reference are out of step: their lag changes by {1e3 * lost_s:.0f} ms, not in proportion "
+            sentence += "to time. Samples were lost, or the two do not belong together."
+            action = "Check both files for lost samples, or judge each part by itself."
+            findings = (finding("sync.out_of_step", "warn", sentence, action),)
+    poses, reference = (seen_poses(record, each, lag) for each in (poses, reference))
+    return Clocks(time=record.time, lag=lag, reference=reference, poses=poses, findings=findings)
 
 
 def padding(full_record: Record, record: Record) -> tuple[Finding, ...]:

@@ -88,18 +88,18 @@ class Aligned:
 
 def align(record: Record, reference: Reference, longest_lag_s: float = sync.LONGEST_LAG_S) -> Aligned:
     """Find lag and motion of a recording, without padded rows and saturated readings."""
-    full_record, record, poses = record, unpadded(record), sync.native_poses(reference)
+    full_record, record = record, unpadded(record)
     padded = sync.padding(full_record, record)
     record, saturated = without_saturated(record)
-    record, lag, findings = sync.in_step(record, poses, longest_lag_s)
-    poses = sync.seen_poses(record, poses, lag)
+    clocks = sync.in_step(record, reference, longest_lag_s)
+    record = replace(record, time=clocks.time)
     return Aligned(
         record=record,
         gyro=np.asarray(record.gyro),
-        reference=poses,
-        lag=lag,
-        span=sync.find_motion(record, poses, lag_s=lag.seconds),
-        findings=(*padded, *saturated, *findings),
+        reference=clocks.poses,
+        lag=clocks.lag,
+        span=sync.find_motion(record, clocks.poses, lag_s=clocks.lag.seconds),
+        findings=(*padded, *saturated, *clocks.findings),
     )
 
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from markupsafe import escape
 
-from undrift.arrays import FloatArray, runs
+from undrift.arrays import BoolArray, FloatArray, runs
 from undrift.errors import InputError
 from undrift.files import write_whole
 from undrift.io.inspect import saturated_runs
@@ -243,7 +243,7 @@ def draw_comparison(
     errors_deg: Sequence[tuple[str, FloatArray]],
     *,
     title: str,
-    moving: FloatArray | None = None,
+    moving: BoolArray | None = None,
 ) -> "Figure":
     """Draw an angle measured with device and optics, with the errors below. time (N,) s, device_deg (N,) deg,
     optics_deg (N,) deg, errors_deg (N,) deg, moving (N,).
@@ -257,7 +257,7 @@ def draw_comparison(
     styles = zip((ERROR, DEVICE, LIMIT, OPTICS), ("-", "--", ":", "-."), strict=True)
     for (name, course), (colour, dash) in zip(errors_deg, styles, strict=False):
         error.plot(*envelope(time, course), color=colour, linestyle=dash, label=name)
-    for start, stop in () if moving is None else runs(moving > 0.0):
+    for start, stop in () if moving is None else runs(moving):
         error.axvspan(float(time[start]), float(time[stop - 1]), color=SHADE, linewidth=0.0, zorder=0)
     error.axhline(0.0, color=OPTICS, linewidth=0.6)
     error.set(xlabel="time (s)", ylabel="error (deg)")
@@ -550,7 +550,7 @@ def draw_levels(trials: Sequence["Trial"]) -> "Figure":
             course = envelope(trial.time, trial.error.pitch / RADIAN_PER_DEGREE)
             panel.plot(*course, label=trial.recording, **compared_style(k))
     for panel in (angle, error, small):
-        for start, stop in runs(trials[0].moving > 0.0):
+        for start, stop in runs(trials[0].moving):
             panel.axvspan(
                 float(trials[0].time[start]), float(trials[0].time[stop - 1]), color=SHADE, linewidth=0.0, zorder=0
             )

@@ -46,7 +46,7 @@ from undrift.study.sessions import ROOM_TEMP_C, SETTLED_S, WARM_C
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation.align import LEAD_S
 from undrift.validation.levels import LEVEL_NAMES, LEVELS, judge_level
-from undrift.validation.trial import TRIAL_SETTINGS, Trial
+from undrift.validation.trial import Trial, TrialSettings
 
 # ---- the simulated and the actual device
 
@@ -155,7 +155,7 @@ def judge_compared(full: Calibration, record: Record, reference: Reference) -> t
     """Compare a worn trial with the optics for each of ``COMPARED``."""
     trials = list[Trial]()
     for level in LEVELS[1:6]:
-        trial = judge_level(level, record, reference, full, TRIAL_SETTINGS)
+        trial = judge_level(level, record, reference, full, TrialSettings())
         if isinstance(trial, str):
             raise InputError(f"Figure 3, {level.name}: {trial}")
         trials.append(trial)

@@ -39,7 +39,7 @@ from undrift.record import Mounting, Record, Reference
 from undrift.shown import Shown
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 from undrift.validation.expected import OffsetSource
-from undrift.validation.trial import TRIAL_SETTINGS, Figures, Trial, TrialSettings, of_finite, rows_of, validate_trial
+from undrift.validation.trial import Figures, Trial, TrialSettings, of_finite, rows_of, validate_trial
 
 # ---- two methods, or several raters
 
@@ -67,8 +67,7 @@ class IntraclassCorrelation:
 
 def bland_altman(first: FloatArray, second: FloatArray) -> BlandAltman:
     """Compare two methods over subjects, one value each (n,)."""
-    ratings = _checked(np.stack((first, second), axis=1) if len(first) == len(second) else np.empty((0, 2)))
-    difference = ratings[:, 0] - ratings[:, 1]
+    difference = first - second
     bias, reach = float(difference.mean()), Z95 * float(difference.std(ddof=1))
     return BlandAltman(bias=bias, limits=(bias - reach, bias + reach), count=len(difference))
 
@@ -77,7 +76,6 @@ def intraclass_correlation(ratings: FloatArray) -> IntraclassCorrelation:
     """Return ICC(2,1) of ratings (n, k), with its 95 % interval: reference 2, table 7, case 2A."""
     from scipy.special import fdtri
 
-    ratings = _checked(ratings)
     n, k = ratings.shape
     row_effects, column_effects = (ratings.mean(axis=axis) - ratings.mean() for axis in (1, 0))
     residual = ratings - ratings.mean() - row_effects[:, None] - column_effects
@@ -87,7 +85,7 @@ def intraclass_correlation(ratings: FloatArray) -> IntraclassCorrelation:
     denominator = rows + (k - 1) * rest + k * (columns - rest) / n
     value = (rows - rest) / denominator if denominator else float("nan")
     interval = (value, value)
-    if np.isfinite(value) and value < 1.0 and rest > 0.0:
+    if rest > 0.0:  # otherwise the methods agree exactly, and the value is 1
         a = k * value / (n * (1.0 - value))
         b = 1.0 + k * value * (n - 1) / (n * (1.0 - value))
         v = (a * columns + b * rest) ** 2 / ((a * columns) ** 2 / (k - 1) + (b * rest) ** 2 / ((n - 1) * (k - 1)))
@@ -97,19 +95,8 @@ def intraclass_correlation(ratings: FloatArray) -> IntraclassCorrelation:
             n * (rows - low_f * rest) / (low_f * mixed + n * rows),
             n * (high_f * rows - rest) / (mixed + n * high_f * rows),
         )
-    sem = float(np.sqrt(max(columns - rest, 0.0) / n + rest))
-    mdc95 = Z95 * float(np.sqrt(2.0)) * sem
+    mdc95 = Z95 * float(np.sqrt(2.0 * (max(columns - rest, 0.0) / n + rest)))
     return IntraclassCorrelation(value=value, interval=interval, minimal_detectable_change=mdc95)
-
-
-def _checked(ratings: FloatArray) -> FloatArray:
-    ratings = np.asarray(ratings, dtype=np.float64)
-    if ratings.ndim != 2 or ratings.shape[0] < 3 or ratings.shape[1] < 2 or not np.isfinite(ratings).all():
-        raise InputError(
-            f"agreement: at least three subjects and two methods without gaps are required, got shape {ratings.shape}. "
-            "Provide a value per subject and method."
-        )
-    return ratings
 
 
 def mean_interval(values: FloatArray) -> tuple[float, Interval]:
@@ -142,14 +129,10 @@ class PairedDifference:
 
 
 def decide_between(errors: FloatArray, others: FloatArray, *, margin: float, tests: int = 1) -> PairedDifference:
-    """Test errors (n,) against other errors (n,) of the same people. ``tests`` is the number of differences tested together."""
+    """Test errors (n,) against other errors of the same people, three or more. ``tests`` differences are tested together."""
     from scipy.special import stdtrit
 
     n = len(errors)
-    if n < MIN_PEOPLE or n != len(others):
-        raise InputError(
-            f"comparison: expected the errors of {MIN_PEOPLE} people or more, got {n} and {len(others)}. Add people."
-        )
     difference, interval = mean_interval(others - errors)
     uncertainty = (others - errors).std(ddof=1) / np.sqrt(n)
     # better and worse: the two tails of one test; equivalent: two one-sided tests
@@ -202,7 +185,7 @@ def validate_trials(
     pairs: Sequence[Pair],
     *,
     calibrations: Sequence[Calibration | None] = (None,),
-    settings: TrialSettings = TRIAL_SETTINGS,
+    settings: TrialSettings = TrialSettings(),
     names: Sequence[str] = (),
     progress: Progress = lambda what, share: None,
 ) -> Validation:
@@ -259,7 +242,7 @@ def validate_trials(
 def validate_leave_one_out(
     pairs: Sequence[Pair],
     *,
-    settings: TrialSettings = TRIAL_SETTINGS,
+    settings: TrialSettings = TrialSettings(),
     mounting: Mounting = "each",
     names: Sequence[str] = (),
     progress: Progress = lambda what, share: None,
@@ -308,7 +291,7 @@ def validate_leave_one_out(
 def calibrations_by_others(
     pairs: Sequence[Pair],
     *,
-    settings: TrialSettings = TRIAL_SETTINGS,
+    settings: TrialSettings = TrialSettings(),
     mounting: Mounting = "each",
     progress: Progress = lambda what, share: None,
 ) -> tuple[tuple[Calibration, ...], tuple[HeldOut, ...]]:

@@ -23,7 +23,7 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.correction.rest import MOVED_AGAIN
 from undrift.frames import rotate
-from undrift.model import TriadModel
+from undrift.model import CODE_NAMES, G_NAMES, MATRIX_NAMES, MOVING_NAMES, OFFSET_NAMES, TriadModel
 from undrift.record import Record
 from undrift.segments import find_turning
 from undrift.units import RADIAN_PER_DEGREE, si_factor
@@ -93,11 +93,15 @@ class Strapdown:
     mounting: float  # mounting error between device and body of the reference, about each axis, rad
 
 
+PARAMETERS = (*MATRIX_NAMES, *OFFSET_NAMES, *G_NAMES, *MOVING_NAMES, *CODE_NAMES)  # of a model, in the order of A
+SIZE = len(PARAMETERS)
+
+
 def expected_errors(run: Strapdown, model: TriadModel, source: OffsetSource, prior: ErrorPrior) -> Expected:
     """Return the expected end error and root-mean-square error of a recording."""
-    time, gain, rate = _sensitivity(run, model, source)
+    elapsed, gain, rate = _sensitivity(run, model, source)
     covariance = _covariance(run, model, source, prior)
-    size, elapsed = gain.shape[2], time - time[0]
+    size = gain.shape[2]
     ends = np.concatenate((gain[-1], np.sqrt(elapsed[-1]) * np.eye(3), np.eye(3)), axis=1)
     means = np.zeros_like(covariance)
     means[:size, :size] = np.einsum("kap,kaq->pq", gain, gain) / len(gain)
@@ -105,15 +109,15 @@ def expected_errors(run: Strapdown, model: TriadModel, source: OffsetSource, pri
     late = run.delay_s * rate  # (K, 3), rad, in earth axes
     linear = np.zeros(len(covariance))
     linear[:size] = np.einsum("kap,ka->p", gain, late) / len(late)
-    end = _root_deg(covariance, ends.T @ ends, 0.0 * linear, 0.0)
-    rmse = _root_deg(covariance, means, linear, float((late**2).sum(axis=1).mean()))
+    end, *end_quantiles = _root_deg(covariance, ends.T @ ends, 0.0 * linear, 0.0)
+    rmse, *rmse_quantiles = _root_deg(covariance, means, linear, float((late**2).sum(axis=1).mean()))
     return Expected(
-        end_total_deg=end[0],
-        end_interval_deg=(end[1], end[2]),
-        end_at_most_deg=end[3],
-        rmse_total_deg=rmse[0],
-        rmse_interval_deg=(rmse[1], rmse[2]),
-        rmse_at_most_deg=rmse[3],
+        end_total_deg=end,
+        end_interval_deg=(end_quantiles[0], end_quantiles[1]),
+        end_at_most_deg=end_quantiles[2],
+        rmse_total_deg=rmse,
+        rmse_interval_deg=(rmse_quantiles[0], rmse_quantiles[1]),
+        rmse_at_most_deg=rmse_quantiles[2],
     )
 
 
@@ -135,7 +139,7 @@ def offset_answer(record: Record, prior: FloatArray, rate_errors: FloatArray) ->
 
 
 def _sensitivity(run: Strapdown, model: TriadModel, source: OffsetSource) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return times (K,), A (K, 3, P) without noise and pose, and the rate in earth axes (K, 3), through the motion."""
+    """Return elapsed times (K,), A (K, 3, P) without noise and pose, and the rate in earth axes (K, 3), through the motion."""
     from undrift.kernels.rotation import accumulate
 
     gyro, time, q = np.ascontiguousarray(run.record.gyro), np.ascontiguousarray(run.record.time), run.q_nb
@@ -155,47 +159,38 @@ def _sensitivity(run: Strapdown, model: TriadModel, source: OffsetSource) -> tup
     steady = sums[..., 3]
     if source.rest == "shown":  # the offset answers an error of the rates: A x becomes (A_w - A_o dO/dw) x
         sums = sums - np.einsum("kab,bcd->kacd", steady, offset_answer(run.record, run.offset_prior, regressors))
-    columns = []
-    for name in model.parameters:
-        kind, _, where = name.partition("_")
-        row, column = "xyz".index(where[0]), "xyz".index(where[-1])
-        if kind == "offset":
-            columns.append(-steady @ matrix[:, row] * (not rezeroed))
-        elif kind == "code":
-            columns.append(sums[..., 8 + row] @ matrix[:, row])
-        else:
-            place = {"m": column, "g": 4 + column, "moving": 7}[kind]
-            columns.append(sums[..., place] @ projection[:, row] * (1.0 if kind == "m" else -1.0))
+    by_matrix, by_g = (
+        np.einsum("kabc,br->karc", sums[..., first : first + 3], projection).reshape(-1, 3, 9) for first in (0, 4)
+    )
+    by_offset = -steady @ matrix * (not rezeroed)
+    by_codes = np.einsum("kabr,br->kar", sums[..., 8:], matrix)
     moved = axes - axes[0]
     start = np.broadcast_to(np.eye(3), moved.shape)
-    gain = np.concatenate((np.stack(columns, axis=2), steady, start, moved), axis=2)
-    return time[knots], gain, rotate(q[knots], gyro[knots])
+    columns = (by_matrix, by_offset, -by_g, -sums[..., 7] @ projection, by_codes, steady, start, moved)
+    return time[knots] - time[0], np.concatenate(columns, axis=2), rotate(q[knots], gyro[knots])
 
 
 def _covariance(run: Strapdown, model: TriadModel, source: OffsetSource, prior: ErrorPrior) -> FloatArray:
     """Return the covariance of model, change of the offset, start, mounting, noise and pose, in this order."""
     from undrift.correction.motion import axis_moved_by
 
-    size = len(model.parameters)
-    moving, matrix = ([i for i, name in enumerate(model.parameters) if name.startswith(x)] for x in ("moving_", "m_"))
     of_mean = 1.0 + 1.0 / source.recordings if source.in_motion else 1.0  # the mean of the fitted recordings errs too
     change = of_mean * (prior.motion_offset if source.in_motion else prior.rest_to_motion) ** 2
-    day = prior.day_to_day**2 * np.eye(3) if source.rest == "other" else run.offset_covariance
-    if moving and source.rest == "shown":  # the prior's share of d is among the model's own
-        reduction = day / run.offset_prior * axis_moved_by(model) / run.offset_prior
-        day = day - reduction @ reduction.T
-    added = (
-        np.full(3, change * (not moving and source.rest != "shown")),
-        np.array([run.tilt**2, run.tilt**2, prior.pose**2]),
-        np.full(3, run.mounting**2 + prior.mounting**2),
-        np.full(3, run.noise_density**2),
-        np.full(3, prior.pose**2),
-    )
-    covariance = np.diag(np.concatenate((np.zeros(size), *added)))
-    covariance[:size, :size] = model.covariance
-    covariance[size : size + 3, size : size + 3] += day
-    covariance[moving, moving] += change / si_factor(model.unit_out, "rate") ** 2
-    covariance[matrix, matrix] += of_mean * (prior.matrix * float(np.linalg.norm(model.matrix, 2))) ** 2
+    offset = prior.day_to_day**2 * np.eye(3) if source.rest == "other" else run.offset_covariance
+    in_model = np.zeros(SIZE)  # what is added to the model's own variances
+    in_model[:9] = of_mean * (prior.matrix * float(np.linalg.norm(model.matrix, 2))) ** 2
+    if model.moving_offset is not None:
+        in_model[21:24] = change / si_factor(model.unit_out, "rate") ** 2
+        if source.rest == "shown":  # the prior's share of d is among the model's own
+            reduction = offset / run.offset_prior * axis_moved_by(model) / run.offset_prior
+            offset = offset - reduction @ reduction.T
+    elif source.rest != "shown":
+        offset = offset + change * np.eye(3)
+    start = (run.tilt**2, run.tilt**2, prior.pose**2)
+    rest = np.repeat((run.mounting**2 + prior.mounting**2, run.noise_density**2, prior.pose**2), 3)
+    covariance = np.diag(np.concatenate((in_model, np.zeros(3), start, rest)))
+    covariance[:SIZE, :SIZE] += model.covariance_of(PARAMETERS)
+    covariance[SIZE : SIZE + 3, SIZE : SIZE + 3] = offset
     return covariance
 
 

@@ -33,6 +33,7 @@ from undrift.errors import InputError, UndriftError
 from undrift.findings import Finding
 from undrift.model import BodyMounting, Calibration
 from undrift.record import Record, Reference
+from undrift.sync import Clocks
 from undrift.units import RADIAN_PER_DEGREE
 from undrift.validation.agreement import (
     MIN_PEOPLE,
@@ -47,7 +48,6 @@ from undrift.validation.agreement import (
     mean_interval,
 )
 from undrift.validation.trial import (
-    Clocks,
     OffsetChoice,
     Trial,
     TrialSettings,
@@ -201,28 +201,9 @@ def judge_levels(
     methods: Sequence[Method] = ("strapdown",),
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> LevelTable:
-    """Judge trials at each level of correction.
+    """Judge trials at each level of correction, which decides the offset, by one or both methods.
 
-    Parameters
-    ----------
-    trials : sequence of LevelTrial
-        Recordings with their references, calibrations and people.
-    settings : TrialSettings
-        Settings of ``validate_trial``, without ``offset``, which the level decides.
-    methods : sequence of str
-        "strapdown", "vqf", or both.
-    progress : callable
-        Called with the work and its share, 0 to 1.
-
-    Returns
-    -------
-    LevelTable
-        Errors by trial, and summaries over all trials, by task and by device.
-
-    Raises
-    ------
-    InputError
-        No trial can be judged at any level.
+    Raise InputError if no trial can be judged at any level.
     """
     clocks, judged = [trial.clocks for trial in trials], Judged()
     for number, (method, level) in enumerate(product(methods, LEVELS)):
@@ -296,7 +277,7 @@ def _errors(
         if isinstance(trial, str):
             continue
         findings += [(trials[k].recording, item) for item in trial.findings if item.level != "info"]
-        moving = trial.moving > 0.0
+        moving = trial.moving
         error_deg[k] = getattr(trial.figures, f"rmse_{quantity}_deg")
         if quantity == "pitch":
             pitches = np.stack((trial.sensor_pitch, trial.reference_pitch))[:, moving]

@@ -26,7 +26,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, frozen
+from undrift.arrays import BoolArray, FloatArray
 from undrift.calibration.triads import check_triads
 from undrift.correction.correct import correct_checked
 from undrift.correction.rest import IN_MOTION, RemainingOffset, find_offset, mean_variance
@@ -53,7 +53,7 @@ from undrift.orientation import (
 from undrift.record import Face, Record, Reference, Still
 from undrift.segments import unpadded
 from undrift.shown import Shown
-from undrift.sync import LONGEST_LAG_S, Lag, MotionSpan, find_motion, in_step, native_poses, padding, seen_poses
+from undrift.sync import LONGEST_LAG_S, Clocks, Lag, MotionSpan, find_motion, in_step, padding
 from undrift.units import RADIAN_PER_DEGREE, is_physical
 from undrift.validation.align import LEAD_S, REST_S, Align, Mounting, align, check_reference, check_vertical, turned
 from undrift.validation.expected import ERROR_PRIOR, ErrorPrior, Expected, OffsetSource, Strapdown, expected_errors
@@ -72,45 +72,24 @@ SCALE_RANGE = (0.5, 2.0)  # of the rates of device and reference: beyond, a unit
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrialSettings:
-    """Settings of the comparison of a recording with its reference.
+    """Settings of the comparison of a recording with its reference."""
 
-    Parameters
-    ----------
-    offset : str
-        Offset that is subtracted after the correction, as ``correct`` and ``orient`` do. "none", "rest" (the mean rate of the first
-        still phase) or "motion" (also what gravity shows from there on).
-    align : str
-        Rotation between device case and the body of the reference. "auto" removes it if it exceeds ``align_above``. "level" always
-        removes it: for a body whose axes mean nothing, such as a cluster of markers (validation/align.py).
-    align_above : float
-        Rotation above which "auto" removes it, rad.
-    forward, up : str
-        Axes of the body that span its sagittal plane.
-    mounting : BodyMounting or None
-        How the device is worn: its readings are turned to the axes of the segment before they are compared.
-    longest_lag_s : float
-        Largest lag between the clocks, s.
-    prior : ErrorPrior
-        Changes between recordings of a device, for the expected errors.
-    method : str
-        "strapdown", or "vqf": a filter with accelerometers over the whole record, offline. It has no expected errors.
-    """
-
+    # offset that is subtracted after the correction, as ``correct`` and ``orient`` do
     offset: OffsetChoice = "none"
+    # "auto" removes the rotation between device case and body of the reference if it exceeds ``align_above``, rad. "level" always
+    # removes it: for a body whose axes mean nothing, such as a cluster of markers (validation/align.py)
     align: Align = "auto"
     align_above: float = 5.0 * RADIAN_PER_DEGREE
+    # axes of the body that span its sagittal plane
     forward: Face = "+x"
     up: Face = "+z"
-    mounting: BodyMounting | None = None
-    longest_lag_s: float = LONGEST_LAG_S
-    prior: ErrorPrior = ERROR_PRIOR
-    method: Literal["strapdown", "vqf"] = "strapdown"
+    mounting: BodyMounting | None = None  # the readings are turned by it to the axes of the segment
+    longest_lag_s: float = LONGEST_LAG_S  # largest lag between the clocks, s
+    prior: ErrorPrior = ERROR_PRIOR  # changes between recordings of a device, for the expected errors
+    method: Literal["strapdown", "vqf"] = "strapdown"  # vqf is a filter over the whole record, without expected errors
 
     def __post_init__(self) -> None:
         check_choices(self, "validate")
-
-
-TRIAL_SETTINGS = TrialSettings()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -216,17 +195,6 @@ def rms(values: FloatArray) -> float:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Clocks:
-    """A recording in step with its reference."""
-
-    time: FloatArray  # (N,), times of the recording on a clock that runs like that of the reference
-    lag: Lag  # of the recording behind the reference
-    reference: Reference  # without poses that fill the file up
-    poses: Reference  # the same at the frames that the cameras took
-    findings: tuple[Finding, ...]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Trial(Shown):
     """One recording compared with its reference. Series have shape (N,), on the clock of the reference."""
 
@@ -242,13 +210,9 @@ class Trial(Shown):
     error: OrientationError  # NaN where the reference saw nothing
     sensor_pitch: FloatArray  # rad, sagittal pitch by the device
     reference_pitch: FloatArray  # rad
-    moving: FloatArray  # 1 within the motion
+    moving: BoolArray  # within the motion
     expected: Expected | None = None  # None without a calibration that states its covariance
     rest: RemainingOffset | None = None  # offset that was subtracted
-
-    def __post_init__(self) -> None:
-        for name in ("time", "sensor_pitch", "reference_pitch", "moving"):
-            object.__setattr__(self, name, frozen(getattr(self, name), (len(self.time),), f"Trial.{name}"))
 
     @property
     def lag(self) -> Lag:
@@ -274,7 +238,7 @@ def validate_trial(
     reference: Reference,
     *,
     calibration: Calibration | None = None,
-    settings: TrialSettings = TRIAL_SETTINGS,
+    settings: TrialSettings = TrialSettings(),
     name: str = "",
     source: OffsetSource | None = None,
     clocks: Clocks | None = None,
@@ -344,57 +308,67 @@ def validate_trial(
     error = compare_orientations(q_nb, reference.q_nb, **axes)
 
     start_s, stop_s = motion.start_s - lag.seconds * lag_undone, motion.stop_s - lag.seconds * lag_undone
-    moving = (reference.time >= start_s) & (reference.time < stop_s)
+    before, moving = reference.time < start_s, (reference.time >= start_s) & (reference.time < stop_s)
     if reference.moving is not None and (reference.moving > 0.0).any():
         moving = reference.moving > 0.0  # pauses left out
-    tilt = of_finite(np.median, error.inclination[reference.time < start_s])
-    frame_findings = frame_findings or check_vertical(tilt, "the axes differ at the rest before the motion")
     after = (reference.time >= stop_s) & (reference.time < stop_s + END_S)
+    tilt = of_finite(np.median, error.inclination[before])
+    frame_findings = frame_findings or check_vertical(tilt, "the axes differ at the rest before the motion")
     if not motion.rested:
         after = moving & (reference.time >= stop_s - END_S)
         sentence = (
             "The recording has no rest before the motion. Therefore the reference gives the first orientation, at "
+            f"{track[0][0]:.1f} s, and end errors are from the last seconds of the motion."
         )
-        sentence += f"{track[0][0]:.1f} s, and end errors are from the last seconds of the motion."
         rest_findings += (finding("validate.no_rest", "info", sentence, "Record a pause at rest."),)
-    compared = moving & np.isfinite(error.total)
-    figures = Figures(
-        lag_ms=lag.seconds * 1e3,
-        rmse_total_deg=rms(error.total[moving]) / RADIAN_PER_DEGREE,
-        rmse_inclination_deg=rms(error.inclination[moving]) / RADIAN_PER_DEGREE,
-        rmse_heading_deg=rms(error.heading[moving]) / RADIAN_PER_DEGREE,
-        rmse_pitch_deg=rms(error.pitch[moving]) / RADIAN_PER_DEGREE,
-        max_abs_pitch_deg=of_finite(np.max, np.abs(error.pitch[moving])) / RADIAN_PER_DEGREE,
-        end_total_deg=of_finite(np.median, error.total[after]) / RADIAN_PER_DEGREE,
-        end_inclination_deg=of_finite(np.median, error.inclination[after]) / RADIAN_PER_DEGREE,
-        valid_optics=float(reference.valid[moving].mean()) if moving.any() else 0.0,
-        pitch_defined=float(np.isfinite(error.pitch[compared]).mean()) if compared.any() else float("nan"),
-        motion_s=motion.stop_s - motion.start_s,
-    )
+    pitch_findings = check_pitch_axes(q_nb, rows, **axes) if (rows := before & np.isfinite(q_nb[:, 0])).any() else ()
     trial = Trial(
         recording=name,
-        figures=figures,
+        figures=_figures(error, moving, after, valid=reference.valid, lag_s=lag.seconds, motion=motion),
         clocks=clocks,
         lag_undone=lag_undone,
         motion=motion,
         mounting=mounting,
         findings=(
-            *findings, *clocks.findings, *frame_findings, *_pitch_axes(q_nb, reference.time < start_s, settings), *rest_findings,
+            *findings, *clocks.findings, *frame_findings,
+            *(item for item in pitch_findings if item.level == "warn"), *rest_findings,
         ),
         time=reference.time,
         q_nb=q_nb,
         error=error,
         sensor_pitch=sagittal_pitch(q_nb, **axes),
         reference_pitch=sagittal_pitch(reference.q_nb, **axes),
-        moving=moving.astype(float),
+        moving=moving,
         rest=rest,
     )  # fmt: skip
     if calibration is None or model is None or settings.method == "vqf" or not model.covariance[:9, :9].any():
         return trial
-    delay_s = 0.0 if lag_undone else shift_s
-    strapdown = _strapdown(trial, record, track, calibration, settings, delay_s=delay_s)
-    return replace(
-        trial, expected=expected_errors(strapdown, model, source or _source(trial, model, settings), settings.prior)
+    run = _strapdown(trial, record, track, calibration, settings, delay_s=0.0 if lag_undone else shift_s)
+    expected = expected_errors(run, model, source or _source(trial, model, settings), settings.prior)
+    return replace(trial, expected=expected)
+
+
+def _figures(
+    error: OrientationError, moving: BoolArray, after: BoolArray, *, valid: BoolArray, lag_s: float, motion: MotionSpan
+) -> Figures:
+    """Return the errors over the motion and after it."""
+    compared = moving & np.isfinite(error.total)
+    total, inclination, heading, pitch = (
+        rms(values[moving]) / RADIAN_PER_DEGREE
+        for values in (error.total, error.inclination, error.heading, error.pitch)
+    )
+    return Figures(
+        lag_ms=lag_s * 1e3,
+        rmse_total_deg=total,
+        rmse_inclination_deg=inclination,
+        rmse_heading_deg=heading,
+        rmse_pitch_deg=pitch,
+        max_abs_pitch_deg=of_finite(np.max, np.abs(error.pitch[moving])) / RADIAN_PER_DEGREE,
+        end_total_deg=of_finite(np.median, error.total[after]) / RADIAN_PER_DEGREE,
+        end_inclination_deg=of_finite(np.median, error.inclination[after]) / RADIAN_PER_DEGREE,
+        valid_optics=float(valid[moving].mean()) if moving.any() else 0.0,
+        pitch_defined=float(np.isfinite(error.pitch[compared]).mean()) if compared.any() else float("nan"),
+        motion_s=motion.stop_s - motion.start_s,
     )
 
 
@@ -424,19 +398,16 @@ def _worn(record: Record, settings: TrialSettings) -> Record:
 
 def synchronise(record: Record, reference: Reference, longest_lag_s: float = LONGEST_LAG_S) -> Clocks:
     """Find how the clocks of a recording and its reference differ. An error also names gaps, which can be its cause."""
-    readings = np.hstack([x for x in (record.gyro, record.accel) if x is not None])
-    gaps = 1.0 - float(np.isfinite(readings).all(axis=1).mean())
     if record.gyro is not None and not np.isfinite(record.gyro).all(axis=1).any():
         check_gaps(record.gyro, record.time, "validate")
-    poses = native_poses(reference)
     try:
-        record, lag, findings = in_step(record, poses, longest_lag_s)
+        return in_step(record, reference, longest_lag_s)
     except AlignmentError as unmatched:
+        readings = np.hstack([x for x in (record.gyro, record.accel) if x is not None])
+        gaps = float(np.isnan(readings).any(axis=1).mean())
         if gaps == 0.0:
             raise
         raise AlignmentError(f"{unmatched}; {gaps:.0%} of the samples are gaps (NaN)") from unmatched
-    poses, reference = (seen_poses(record, each, lag) for each in (poses, reference))
-    return Clocks(time=record.time, lag=lag, reference=reference, poses=poses, findings=tuple(findings))
 
 
 def _check_scale(name: str, lag: Lag) -> None:
@@ -532,13 +503,6 @@ def _about_vertical(q: FloatArray) -> FloatArray:
     """Return the part of a rotation that is about the vertical."""
     turn = q * np.array([1.0, 0.0, 0.0, 1.0])
     return np.asarray(turn / np.linalg.norm(turn))
-
-
-def _pitch_axes(q_nb: FloatArray, before: BoolArray, settings: TrialSettings) -> tuple[Finding, ...]:
-    """Return a finding if the axes of the pitch do not agree with the rest before the motion."""
-    rest = before & np.isfinite(q_nb).all(axis=1)
-    axis_findings = check_pitch_axes(q_nb, rest, settings.forward, settings.up) if rest.any() else ()
-    return tuple(warning for warning in axis_findings if warning.level == "warn")
 
 
 # ---- expected errors
