@@ -17,8 +17,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray, runs
 from undrift.errors import AlignmentError, FileFormatError, InputError
-from undrift.io.guess import sniff
-from undrift.io.text import parse_text
+from undrift.io.text import parse_text, sniff
 from undrift.model import AXES
 from undrift.record import Record, Turn
 from undrift.sync import LONGEST_STEP, LagLine, PoseRates, coarse_lag, lag_line

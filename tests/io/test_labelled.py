@@ -12,7 +12,8 @@ from undrift.errors import FileFormatError, InputError
 from undrift.io.column_map import ColumnMap, read_map
 from undrift.io.formats import detect, iter_record, read_counted, read_record
 from undrift.io.inspect import describe
-from undrift.io.labelled import Label, label_of, open_sheet
+from undrift.io.labelled import open_sheet
+from undrift.io.labels import Label, label_of
 
 
 def put(tmp_path, text, name="t.csv"):

@@ -73,10 +73,10 @@ class RawTable:
         values = self.columns[position]
         if not isinstance(values, np.ndarray):  # Arrow column; a column of empty cells becomes NaN
             values, numeric = np.full(len(values), np.nan) if str(values.type) == "null" else values.to_numpy(), "fiu"
-        if values.dtype.kind in numeric:
+        if values.dtype.kind in numeric or not len(values):
             return np.asarray(values, dtype=np.float64)
         row = next((k for k, cell in enumerate(values) if not is_number(cell)), 0)
-        cell = str(values[row])[:40] if len(values) else ""
+        cell = str(values[row])[:40]
         raise FileFormatError(
             f"{self.source}: column {self.names[position]!r}: expected numbers, got {cell!r} in data row {self.row(row)}. "
             "Repair the file, or set drop_bad_rows."

@@ -28,7 +28,8 @@ from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError, InputError
 from undrift.io.column_map import READ_SETTINGS, ColumnMap
 from undrift.io.columns import RawTable
-from undrift.io.labelled import Label, Sheet, label_of, open_sheet, sheet_table, unit_for, with_manual
+from undrift.io.labelled import Sheet, labelled, open_sheet, sheet_table
+from undrift.io.labels import Label, label_of, unit_for
 from undrift.io.text import open_text, parse_text
 from undrift.units import si_factor
 
@@ -86,8 +87,9 @@ class Dialect(MapTable):
 
     def read(self, path: Path, how: ColumnMap = READ_SETTINGS) -> RawTable:
         """Read a file or a folder."""
-        sheet = self._labelled(open_sheet(self._file(path)))
-        table = sheet_table(self._with_clock(sheet, how.sample_rate_hz), how)
+        sheet = self._labelled(self._file(path))
+        rate_hz = how.sample_rate_hz or sheet.rate_hz
+        table = sheet_table(replace(self._with_clock(sheet, rate_hz), rate_hz=rate_hz), how)
         return self._with_thermometer(table, sheet)
 
     def _file(self, path: Path) -> Path:
@@ -99,21 +101,28 @@ class Dialect(MapTable):
             raise InputError(f"{path}: expected one {self.folder}, got {names}. Name the file.")
         return matches[0]
 
-    def _labelled(self, sheet: Sheet) -> Sheet:
+    def _labelled(self, path: Path) -> Sheet:
         """Return a sheet with its labels, device and notes."""
-        device, rate = (sheet.stated(pattern) if pattern else None for pattern in (self.device, self.rate))
-        name_matches = self.device_in_name.findall(sheet.path.name) if self.device_in_name else []
-        sheet = replace(
+        sheet = open_sheet(path, self.units, whole_names=self.whole_names)
+        device, rate = (_stated(pattern, sheet.text.preamble) for pattern in (self.device, self.rate))
+        names = self.device_in_name.findall(path.name) if self.device_in_name else []
+        labels, notes = sheet.labels, tuple[str, ...]()
+        if self.channel_line:
+            labels = _labels_of_lines(self.channel_line, sheet)
+        else:
+            in_file = {label.channel for label in labelled(sheet.text).labels if label and label.unit}
+            assumed = {label.channel for label in labels if label and label.unit} - in_file
+            if units := ", ".join(f"{channel} {unit}" for channel, unit in self.units.items() if channel in assumed):
+                notes = (f"units by the manual of {self.maker}, not in the file: {units}",)
+            labels = tuple(map(self._own, sheet.text.names, labels))
+        return replace(
             sheet,
-            device=(device or "").strip(", ") or (name_matches[-1] if name_matches else ""),
+            labels=labels,
+            notes=notes,
+            device=device.strip(", ") or (names[-1] if names else ""),
             rate_hz=float(rate) if rate else None,
             repair_time=self.repair_time,
         )
-        if self.channel_line:
-            return replace(sheet, labels=_labels_of_lines(self.channel_line, sheet))
-        sheet = with_manual(sheet, self.maker, self.units, whole_names=self.whole_names)
-        labels = tuple(self._own(name, label) for name, label in zip(sheet.names, sheet.labels, strict=True))
-        return replace(sheet, labels=labels)
 
     def _own(self, name: str, label: Label | None) -> Label | None:
         """Return the label of a column by the rules of the maker."""
@@ -124,34 +133,32 @@ class Dialect(MapTable):
         return label
 
     def _with_clock(self, sheet: Sheet, rate_hz: float | None) -> Sheet:
-        """Return a sheet with the clock of its counters. Lost packets become gaps in time."""
-        rate_hz = rate_hz or sheet.rate_hz
-        sheet = replace(sheet, rate_hz=rate_hz)
+        """Return a sheet with the clock of its packets or of its stamps. Lost packets become gaps in time."""
         packets, stamps = (None if c is None else sheet.position(c.column) for c in (self.packets, self.stamps))
         absolute = self.stamps is not None and self.stamps.absolute
         if absolute and (packets is None or stamps is None):
             raise FileFormatError(
-                f"{sheet.path}: expected the columns of the packet counter and of its stamps, got {', '.join(sheet.names[:8])}. "
-                "Export them too."
+                f"{sheet.path}: expected the columns of the packet counter and of its stamps, got "
+                f"{', '.join(sheet.text.names[:8])}. Export them too."
             )
-
-        def by_rate(counts: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
-            number = _from_zero(sheet, counts, self.packets)
-            return number * (1.0 / (rate_hz or np.nan)), _lost(number)
-
-        def by_stamps(ticks: FloatArray, *counts: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
-            start, counter = ticks[0] if absolute else 0.0, self.stamps or MapCounter(column="", bits=64)
-            time = (counter.step_s or np.nan) * (start + _from_zero(sheet, ticks, counter))
-            lost = [note for count in counts for note in _lost(_from_zero(sheet, count, self.packets))]
-            return time, (*([counter.note] if counter.note else []), *lost)
-
-        if packets is not None and rate_hz is not None and not absolute:
-            return replace(sheet, clock=by_rate, counters=(packets,))
-        if stamps is None or not np.isfinite(sheet.array((stamps,))).all():
+        by_rate = packets is not None and rate_hz is not None and not absolute
+        ticks, counter = (packets, self.packets) if by_rate else (stamps, self.stamps)
+        if ticks is None or counter is None or not (by_rate or np.isfinite(sheet.array((ticks,))).all()):
             return sheet
-        return replace(
-            sheet, clock=by_stamps, counters=(stamps, packets) if absolute and packets is not None else (stamps,)
-        )
+        step_s = 1.0 / rate_hz if by_rate and rate_hz else counter.step_s or np.nan
+
+        def clock(count: FloatArray, *packet: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
+            start = count[0] if absolute else 0.0
+            numbers = (_from_zero(sheet, other, self.packets) for other in packet)
+            lost = (int(number[-1]) + 1 - len(number) for number in numbers if len(number))
+            notes = [
+                f"{n} of {n + len(count)} packets lost by PacketCounter, seen as gaps in time" for n in lost if n > 0
+            ]
+            note = [counter.note] if counter.note else []
+            return step_s * (start + _from_zero(sheet, count, counter)), (*note, *notes)
+
+        counters = (ticks, packets) if packets is not None and (by_rate or absolute) else (ticks,)
+        return replace(sheet, clock=clock, counters=counters)
 
     def _with_thermometer(self, table: RawTable, sheet: Sheet) -> RawTable:
         """Return the table with the temperature of the file next to it, if there is one."""
@@ -184,11 +191,17 @@ def dialects() -> dict[str, Dialect]:
     }
 
 
+def _stated(pattern: str, lines: tuple[str, ...]) -> str:
+    """Return the first group of a pattern in lines, or an empty string."""
+    match = re.search(pattern, "\n".join(lines), re.IGNORECASE | re.MULTILINE) if pattern else None
+    return match.group(1).strip() if match else ""
+
+
 def _labels_of_lines(pattern: re.Pattern[str], sheet: Sheet) -> tuple[Label | None, ...]:
     """Return the labels from the lines before the header. Each channel has a column of time before it."""
-    channels = {match["name"]: match for text in sheet.preamble if (match := pattern.search(text))}
-    labels: list[Label | None] = [None] * len(sheet.names)
-    for k, name in enumerate(sheet.names):
+    channels = {match["name"]: match for text in sheet.text.preamble if (match := pattern.search(text))}
+    labels: list[Label | None] = [None] * len(sheet.text.names)
+    for k, name in enumerate(sheet.text.names):
         label = label_of(channels[name]["signal"], channels[name]["unit"]) if name in channels and k > 0 else None
         if label is not None:
             line = channels[name]
@@ -208,10 +221,3 @@ def _from_zero(sheet: Sheet, counts: FloatArray, counter: MapCounter | None) -> 
             f"data row {back[0] + 2}. The file is damaged or contains two recordings. Split it there."
         )
     return np.concatenate(([0.0], np.cumsum(steps)))
-
-
-def _lost(packets: FloatArray) -> tuple[str, ...]:
-    lost = int(packets[-1]) + 1 - len(packets) if len(packets) else 0
-    return (
-        (f"{lost} of {int(packets[-1]) + 1} packets lost by PacketCounter, seen as gaps in time",) if lost > 0 else ()
-    )

@@ -6,10 +6,9 @@ length 1, a counter increases. An unknown unit is "?".
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +16,11 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import InputError
-from undrift.files import read_bytes
 from undrift.io.column_map import Column, TextLayout
-from undrift.io.columns import is_date, is_number
-from undrift.io.labelled import label_of, marks_of
-from undrift.io.libraries import Arrays
+from undrift.io.columns import RawTable, is_date, is_number
+from undrift.io.labels import label_of
 from undrift.io.reference import NEARLY_UNIT
-from undrift.io.text import Text, cells_of, open_text, parse_text
+from undrift.io.text import Text, parse_text
 
 _QUATERNION = re.compile(
     r"(?i)^(?P<stem>.*?)(?P<part>[wxyz]|[0-3])\]?( element)?$"
@@ -118,104 +115,36 @@ def _table(values: Mapping[str, Any]) -> str:
 # ---- a foreign table
 
 
-def sniff(path: object) -> Text:
-    """Open a text table with the delimiter, header and skipped lines that most of it suggests."""
-    head = read_bytes(str(path), 1 << 16)
-    raw = head.decode("utf-8", "replace").splitlines()[:64]
-    at = [k for k, line in enumerate(raw) if line.strip()]
-    lines = [raw[k] for k in at]
-    body = lines[len(lines) // 2 :] or lines
-    delimiter, decimal = marks_of(lines)
-    width = max(len(_cells(line, delimiter)) for line in body)
-    # the banner of a terminal program may have as many commas as the rows, with empty cells
-    skip = next((k for k, line in zip(at, lines, strict=True) if _filled(line, delimiter, width)), 0)
-    first = _cells(raw[skip], delimiter, decimal)
-    header = not all(is_number(cell, empty=True) or is_date(cell) for cell in first)
-    if len(first) > 2 and all(cell.strip().isdecimal() for cell in first) and set(np.diff([*map(int, first)])) == {1}:
-        skip += 1  # columns that are numbered, not named
-    return open_text(str(path), TextLayout(delimiter=delimiter, skip_rows=skip, header=header, decimal=decimal))
+def sample_of(text: Text) -> RawTable:
+    """Return the first MiB of a text, parsed. Rows that do not parse are left out."""
+    is_whole = text.content is None and len(text.head) < 1 << 20
+    head = text.head if is_whole else text.head[: text.head.rfind(b"\n") + 1]
+    layout, rows = text.layout.but(drop_bad_rows=True), [text.cells(k) for k in range(9)]
+    cells = zip(*(row for row in rows if len(row) == len(text.names)), strict=True)
+    numeric = [[is_number(cell, empty=True) for cell in column] for column in cells]
+    positions = tuple(k for k, flags in enumerate(numeric) if 2 * sum(flags) > len(flags))
+    return parse_text(replace(text, content=head, layout=layout), positions)
 
 
-def _filled(line: str, delimiter: str, width: int) -> bool:
-    """Return True if a line has as many cells as the table is wide, with content in half of them."""
-    cells = _cells(line, delimiter)
-    return len(cells) == width and 2 * sum(bool(cell.strip()) for cell in cells) >= width
-
-
-def _cells(line: str, delimiter: str, decimal: str = ".") -> list[str]:
-    return cells_of(line.replace(decimal, "."), delimiter)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ForeignTable:
-    """A table whose columns have no units: text, or named arrays."""
-
-    names: tuple[str, ...]
-    text: Text | None = None
-    arrays: Arrays = ()
-
-    @property
-    def nameless(self) -> bool:
-        """True if the columns of a text have positions only."""
-        return self.text is not None and not self.text.layout.header and self.names[-1].isdecimal()
-
-    def row(self, number: int = 0) -> list[str]:
-        """Return the cells of a row of text, an empty list if there is none."""
-        if self.text is None:
-            return []
-        lines = self.text.head.decode("utf-8", "replace").splitlines()[self.text.skip + number :]
-        return _cells(lines[0], self.text.layout.delimiter, self.text.layout.decimal) if lines else []
-
-    def readings(self, columns: list[Column]) -> FloatArray:
-        """Return columns of the first MiB of text, or of arrays, (N, K), without rows with gaps. (0, 1) if there are none."""
-        parts: list[Any] = []
-        if self.text is not None:
-            text = self.text
-            is_complete = text.content is None and len(text.head) < 1 << 20
-            head = text.head if is_complete else text.head[: text.head.rfind(b"\n") + 1]
-            with suppress(InputError):
-                layout = text.layout.but(drop_bad_rows=True)
-                table = parse_text(replace(text, content=head, layout=layout), tuple(columns))
-                parts = [table.numbers(column) for column in columns]
-        else:
-            flat = {f"{name}[{k}]": x[:, k] for name, x in self.arrays if x.ndim == 2 for k in range(x.shape[1])}
-            parts = [x for column in columns if (x := {**flat, **dict(self.arrays)}.get(str(column))) is not None]
-        if len(parts) != len(columns) or any(x.dtype.kind not in "fiu" or x.ndim > 2 or not x.size for x in parts):
-            return np.empty((0, 1))
-        values = np.column_stack(parts).astype(np.float64)
+def readings(table: RawTable, columns: Sequence[Column]) -> FloatArray:
+    """Return columns (N, K) without rows with gaps, or (0, 1) if they are not numbers of one length."""
+    with suppress(InputError, ValueError):
+        values = np.column_stack([table.numbers(column) for column in columns])
         return np.asarray(values[np.isfinite(values).all(axis=1)])
-
-    def stated_rate(self) -> str:
-        """Return the sample rate from a line before the header or a single-number array, or "?" if there is none."""
-        for name, array in self.arrays:
-            if array.size == 1 and _STATED_NAME.search(name) and np.ravel(array)[0] > 0:
-                return f"{float(np.ravel(array)[0]):g}  # by {name}"
-        text = self.text
-        for line in [] if text is None else text.head.decode("utf-8", "replace").splitlines()[: text.layout.skip_rows]:
-            if match := _STATED_RATE.search(line):
-                return f"{float(match.group(1)):g}  # by the line {json.dumps(line.strip()[:40])}"
-        return "?"
+    return np.empty((0, 1))
 
 
-def foreign_kind(table: ForeignTable) -> str | None:
+def foreign_kind(table: RawTable, text: Text | None) -> str | None:
     """Return the kind of a table that is not a recording of an inertial sensor, None if it may be one."""
     names = [name for name in table.names if name.strip()]
-    listing = ", ".join(names[:4])
-    triples = triples_of(table.names)
-    if table.text is None:
-        has_axes = triples or any(array.ndim == 2 and array.shape[1] in (3, 6) for _, array in table.arrays)
-        return (
-            None
-            if has_axes or not (table.arrays or not names)
-            else f"arrays without three axes ({listing}), not a recording"
-        )
-    rows = [row for row in (table.row(0), table.row(1)) if row]  # one may be of units
+    listing, triples = ", ".join(names[:4]), triples_of(table.names)
+    rows = [row for row in (text.cells(0), text.cells(1)) if row] if text else []
     if rows and all(sum(is_number(cell, empty=True) for cell in row) < 0.5 * len(row) for row in rows):
         return f"a table of text ({len(names)} columns: {listing}, ...), not a recording"
     is_foreign = bool(triples) and all(_NO_SENSOR.search(name) for triple in triples for name in triple)
-    if is_foreign or any(map(_FORCE.search, names)):
+    if is_foreign or (text and any(map(_FORCE.search, names))):
         return f"a table of other quantities ({listing}, ...), not a recording of an inertial sensor"
-    if table.text.layout.header and not triples:
+    if not triples and not _sixes(table.names) and not is_nameless(text):
         return (
             f"a table without names of three axes ({', '.join(names[:8])}). A recording of an inertial sensor needs "
             "a map by positions, for example gyro = [1, 2, 3], with header = false and skip_rows."
@@ -226,6 +155,11 @@ def foreign_kind(table: ForeignTable) -> str | None:
             f"table of columns for each file, such as {{ time = 0, gyro = {{ x = {len(table.names) - 1} }} }}"
         )
     return None
+
+
+def is_nameless(text: Text | None) -> bool:
+    """Return True if the columns of a text have positions only."""
+    return text is not None and not text.layout.header and text.names[-1].isdecimal()
 
 
 def triples_of(names: tuple[str, ...]) -> dict[tuple[str, str, str], str]:
@@ -248,39 +182,41 @@ def triples_of(names: tuple[str, ...]) -> dict[tuple[str, str, str], str]:
     return triples
 
 
+def _sixes(names: Sequence[str]) -> list[str]:
+    """Return the names of arrays of six columns."""
+    return [name[:-3] for name in names if name.endswith("[5]") and f"{name[:-3]}[6]" not in names]
+
+
 # ---- proposals
 
 
-def propose(table: ForeignTable) -> MapProposal:
+def propose(table: RawTable, text: Text | None = None) -> MapProposal:
     """Return the map that a table of readings or of orientations seems to need."""
-    columns, others = (_by_position(table), "") if table.nameless else _by_name(table)
-    if quaternion := _quaternion(table):
+    columns, others = (_by_position(table), "") if is_nameless(text) else _by_name(table)
+    if text and (quaternion := _quaternion(table)):
         columns, others = {"quaternion": quaternion}, ""
         for key, pattern in (("counter", _COUNTER), ("time", _NAMED["time"])):  # the last counts
             name = next((name for name in table.names if pattern.match(name.strip())), None)
             columns = columns if name is None else {key: name, "quaternion": quaternion}
     listed = {channel: value if isinstance(value, list) else [value] for channel, value in columns.items()}
     units = {channel: _unit_of(channel, *map(str, value)) for channel, value in listed.items() if channel in _UNITS}
-    row = table.row()
-    first = {channel: [row[k] for k in _positions(table, value) if k < len(row)] for channel, value in listed.items()}
-    if units.get("time") == "?" and any(map(is_date, first["time"])):
+    first = text.cells() if text else []
+    if units.get("time") == "?" and is_date(dict(enumerate(first)).get(table.position(columns["time"]), "")):
         units["time"] = "date"
     proposed = _units_by_size(table, {channel: listed[channel] for channel, unit in units.items() if unit == "?"})
     layout = {}
-    if table.text is not None:
+    if text is not None:
         keys, usual = ("delimiter", "decimal", "header", "skip_rows"), TextLayout()
-        layout = {k: value for k in keys if (value := getattr(table.text.layout, k)) != getattr(usual, k)}
-        cells = [cell for value in first.values() for cell in value]
-        if table.text.layout.header and any(not is_number(cell, empty=True) and not is_date(cell) for cell in cells):
-            layout["drop_bad_rows"] = True  # a row of units below the header
+        layout = {k: value for k in keys if (value := getattr(text.layout, k)) != getattr(usual, k)}
+        layout |= {"drop_bad_rows": True} if text.units else {}
     clock = 'clock = "regular"' if "counter" in columns else ""
     if "time" in columns and units["time"] != "date":
-        clock = _order_of(table.readings(listed["time"]))
+        clock = _order_of(readings(table, listed["time"]))
     return MapProposal(
-        columns=columns,
+        columns={channel: _array_of(value, table.names) for channel, value in columns.items()},
         units=units | {channel: unit for channel, (unit, _) in proposed.items()},
         reasons={channel: why for channel, (_, why) in proposed.items()},
-        rate="" if "time" in columns else table.stated_rate(),
+        rate="" if "time" in columns else _stated_rate(table, text),
         layout=layout,
         others=others,
         clock=clock,
@@ -292,14 +228,27 @@ def is_poses(proposal: MapProposal) -> bool:
     return "quaternion" in proposal.columns
 
 
-def _positions(table: ForeignTable, columns: list[Column]) -> list[int]:
-    names = table.names
-    return [x if isinstance(x, int) else names.index(x) if x in names else len(names) for x in columns]
+def _array_of(columns: Any, names: Sequence[str]) -> Any:
+    """Return the name of an array in place of its three columns."""
+    name = columns[0].removesuffix("[0]") if isinstance(columns, list) and isinstance(columns[0], str) else ""
+    is_array = columns == [f"{name}[{k}]" for k in range(3)] and f"{name}[3]" not in names
+    return name if is_array else columns
 
 
-def _quaternion(table: ForeignTable) -> list[str]:
-    """Return the columns w, x, y, z of an orientation in a text without a gyroscope. Numbered columns keep their order."""
-    if table.text is None or any(x is not None and x.channel == "gyro" for x in map(label_of, table.names)):
+def _stated_rate(table: RawTable, text: Text | None) -> str:
+    """Return the sample rate from a line before the header or a single-number array, or "?" if there is none."""
+    for name, column in zip(table.names, table.columns, strict=True):
+        if len(column) == 1 and _STATED_NAME.search(name) and (rate := table.numbers(name)[0]) > 0:
+            return f"{rate:g}  # by {name}"
+    for line in text.preamble if text else ():
+        if match := _STATED_RATE.search(line):
+            return f"{float(match.group(1)):g}  # by the line {json.dumps(line.strip()[:40])}"
+    return "?"
+
+
+def _quaternion(table: RawTable) -> list[str]:
+    """Return the columns w, x, y, z of an orientation in a table without a gyroscope. Numbered columns keep their order."""
+    if any(x is not None and x.channel == "gyro" for x in map(label_of, table.names)):
         return []
     parts: dict[str, dict[str, str]] = {}
     for name in table.names:
@@ -309,47 +258,39 @@ def _quaternion(table: ForeignTable) -> list[str]:
     for axes in parts.values():
         for order in ("wxyz", "0123"):
             if {*order} <= axes.keys():
-                four: list[Column] = [axes[axis] for axis in order]
-                length = np.linalg.norm(table.readings(four), axis=1)
-                is_unit = len(length) and abs(float(np.median(length)) - 1.0) <= NEARLY_UNIT
-                return [*map(str, four)] if is_unit else []
+                four = [axes[axis] for axis in order]
+                length = np.linalg.norm(readings(table, four), axis=1)
+                return four if len(length) and abs(float(np.median(length)) - 1.0) <= NEARLY_UNIT else []
     return []
 
 
-def _by_name(table: ForeignTable) -> tuple[dict[str, Any], str]:
+def _by_name(table: RawTable) -> tuple[dict[str, Any], str]:
     """Return the columns of each channel, and the first columns of other sensors."""
-    keys: dict[str, Any] = {}
-    choices: dict[str, tuple[Any, str]] = {
-        x: ([x, y, z], label) for (x, y, z), label in triples_of(table.names).items()
-    }
-    if threes := [name for name, array in table.arrays if array.ndim == 2 and array.shape[1] == 3]:
-        choices = {name: (name, f"{name} x") for name in threes}
-    elif six := [name for name, array in table.arrays if array.ndim == 2 and array.shape[1] == 6]:
-        for channel, start in (("accel", 0), ("gyro", 3)):  # the usual order, to be checked
-            keys[channel] = [f"{six[0]}[{k}]" for k in range(start, start + 3)]
-    labels = {name: label_of(axis) or label_of(re.sub(r"\d+$", "", axis)) for name, (_, axis) in choices.items()}
-    bare = [name for name, label in labels.items() if label is None and not _NO_SENSOR.search(name)]
-    is_gyro_file = table.text is not None and _OF_GYRO.search(table.text.path.name) is not None
+    triples, keys = triples_of(table.names), dict[str, Any]()
+    if not triples and (six := _sixes(table.names)):  # the usual order, to be checked
+        keys = {key: [f"{six[0]}[{k + at}]" for k in range(3)] for key, at in (("accel", 0), ("gyro", 3))}
+    labels = {axes: label_of(name) or label_of(re.sub(r"\d+$", "", name)) for axes, name in triples.items()}
+    bare = [axes for axes, label in labels.items() if label is None and not _NO_SENSOR.search(axes[0])]
+    is_gyro_file = _OF_GYRO.search(Path(table.source).name) is not None
     for channel, unlabelled in (("gyro", bare if is_gyro_file else []), ("accel", [] if is_gyro_file else bare)):
-        labelled = [name for name, label in labels.items() if label is not None and label.channel == channel]
-        if (first := next(iter([*labelled, *unlabelled]), None)) is not None:
-            keys[channel] = choices[first][0]
+        named = [axes for axes, label in labels.items() if label is not None and label.channel == channel]
+        if (axes := next(iter([*named, *unlabelled]), None)) is not None:
+            keys[channel] = [*axes]
     for channel, pattern in _NAMED.items():
         name = next((n for n in table.names if pattern.match(n.strip().rpartition(".")[2])), None)
         if name is not None:
             keys = {channel: name, **keys} if channel == "time" else {**keys, channel: name}
-    taken = [value[0] for value in keys.values() if isinstance(value, list)]
-    others = [name for name, x in labels.items() if x is not None and x.channel in ("gyro", "accel")]
-    return keys, "" if threes else ", ".join(name for name in others if name not in taken)
+    others = [[*axes] for axes, label in labels.items() if label is not None and label.channel in ("gyro", "accel")]
+    others = [axes for axes in others if axes not in keys.values()]
+    return keys, ", ".join(axes[0] for axes in others if not axes[0].endswith("[0]"))
 
 
-def _by_position(table: ForeignTable) -> dict[str, Any]:
+def _by_position(table: RawTable) -> dict[str, Any]:
     """Return the columns of a table without names: a growing first column is time, the steadiest three axes read gravity."""
-    width, rows = len(table.names), [row for k in range(8) if (row := table.row(k))]
-    numbers = [float(row[0]) for row in rows if row[0] and is_number(row[0], empty=True)]
-    rising = len(numbers) > 1 and all(b > a for a, b in pairwise(numbers)) and width not in (3, 6)
-    grows = rising or all(is_date(row[0]) for row in rows)
-    columns = {k: table.readings([k]) for k in range(grows, width)}
+    width, cells = len(table.names), [str(cell) for cell in table.columns[0][:8]]
+    times = readings(table, [0])[:8, 0]
+    grows = (len(times) > 1 and bool((np.diff(times) > 0.0).all()) and width not in (3, 6)) or all(map(is_date, cells))
+    columns = {k: readings(table, [k]) for k in range(grows, width)}
     free = [k for k, values in columns.items() if len(values) and not _counts(values)]
     keys: dict[str, Any] = {"time": 0} if grows else {}
     if len(free) % 3 == 1:
@@ -357,9 +298,9 @@ def _by_position(table: ForeignTable) -> dict[str, Any]:
     threes = [free[k : k + 3] for k in (0, 3) if k + 3 <= len(free)]
     if not threes:
         return {}
-    if table.text is not None and _OF_GYRO.search(table.text.path.name):
+    if _OF_GYRO.search(Path(table.source).name):
         return keys | {"gyro": threes[0]}
-    lengths = [_median_length(table.readings([*axes])) for axes in threes]
+    lengths = [_median_length(readings(table, axes)) for axes in threes]
     at_rest = [k for k, (x, _) in enumerate(lengths) if any(low <= x < high for low, high in _AT_REST.values())]
     accel = min(at_rest, key=lambda k: lengths[k][1], default=0)  # the steadiest
     keys["accel"] = threes[accel]
@@ -403,9 +344,9 @@ def _unit_of(channel: str, *names: str) -> str:
     return next((unit for unit, pattern in _UNITS[channel] if re.search(pattern, listing, re.IGNORECASE)), "?")
 
 
-def _units_by_size(table: ForeignTable, columns: dict[str, list[Column]]) -> dict[str, tuple[str, str]]:
+def _units_by_size(table: RawTable, columns: dict[str, list[Column]]) -> dict[str, tuple[str, str]]:
     """Return proposed units of channels whose names have no unit, and the figure that suggests each."""
-    readings = {channel: values for channel in columns if len(values := table.readings(columns[channel])) > 1}
+    values_of = {channel: values for channel in columns if len(values := readings(table, columns[channel])) > 1}
     proposed: dict[str, tuple[str, str]] = {}
 
     def add(channel: str, value: float, ranges: dict[str, tuple[float, float]], figure: str) -> None:
@@ -413,20 +354,20 @@ def _units_by_size(table: ForeignTable, columns: dict[str, list[Column]]) -> dic
         if unit is not None:
             proposed[channel] = (unit, f"{figure} {value:.4g}")
 
-    if "accel" in readings and readings["accel"].shape[1] == 3:
-        add("accel", _median_length(readings["accel"])[0], _AT_REST, "the median |a|")
-    if "gyro" in readings:
-        gyro = readings["gyro"]
+    if "accel" in values_of and values_of["accel"].shape[1] == 3:
+        add("accel", _median_length(values_of["accel"])[0], _AT_REST, "the median |a|")
+    if "gyro" in values_of:
+        gyro = values_of["gyro"]
         largest, whole = float(np.abs(gyro).max()), np.array_equal(gyro, np.round(gyro))
         if whole and (largest > _COUNTS or proposed.get("accel", ("", ""))[0] == "count"):
             proposed["gyro"] = ("count", f"whole numbers up to {largest:.4g}")
         elif not whole and (largest >= _RATE["dps"][0] or _least_spread(gyro) < _SPREAD_RAD_S):
             add("gyro", largest, _RATE, "the largest rate")
-    step = float(np.median(np.diff(readings["time"][:, 0]))) if "time" in readings else 1.0
+    step = float(np.median(np.diff(values_of["time"][:, 0]))) if "time" in values_of else 1.0
     if step != 1.0:  # of a counter, or 1 ms
         add("time", step, _STEP, "the median step")
-    if "temp" in readings and not np.array_equal(readings["temp"], np.round(readings["temp"])):
-        add("temp", float(np.median(readings["temp"])), {"degC": _TEMP_C}, "the median")
+    if "temp" in values_of and not np.array_equal(values_of["temp"], np.round(values_of["temp"])):
+        add("temp", float(np.median(values_of["temp"])), {"degC": _TEMP_C}, "the median")
     return proposed
 
 

@@ -20,17 +20,18 @@ from undrift.files import read_bytes, read_tree
 from undrift.findings import Finding, finding
 from undrift.io.clock import host_stamps
 from undrift.io.column_map import AXES, READ_SETTINGS, ColumnMap, is_native, read_map
-from undrift.io.columns import ReadResult, native_columns
+from undrift.io.columns import RawTable, ReadResult, native_columns
 from undrift.io.formats import Format, format_of, read_counted, read_markers, read_reference
-from undrift.io.guess import ForeignTable, MapProposal, foreign_kind, is_poses, propose, sniff
+from undrift.io.guess import MapProposal, foreign_kind, is_poses, propose, sample_of
 from undrift.io.imucal import is_imucal
-from undrift.io.labelled import states_units
-from undrift.io.libraries import mat_arrays
-from undrift.io.log import log_sheet, log_text
+from undrift.io.labelled import labelled, states_units
+from undrift.io.libraries import columns_of_arrays, mat_arrays
+from undrift.io.log import log_text
 from undrift.io.mocap import Markers, Up
-from undrift.io.parquet import parquet_names
+from undrift.io.parquet import parquet_names, read_parquet_table
 from undrift.io.reference import ReferenceMap, native_reference
 from undrift.io.session import read_session
+from undrift.io.text import Text, sniff
 from undrift.record import Record, Reference, Session
 from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, STANDARD_GRAVITY, is_physical, si_factor
 
@@ -296,8 +297,8 @@ def describe(path: str | Path, column_map: ColumnMap | None = None, *, up: Up | 
         column_names = tuple(map(str, columns)) if isinstance(columns, tuple) else ()
         description = _not_read(path, name, column_names, str(error).removeprefix(f"{path}: "), missing=str(missing))
         in_table = missing == "readings" and not name.startswith("phone")
-        if in_table and is_poses(poses := propose(table := _contents(path, "csv"))):
-            return replace(description, summary=_POSES, columns=table.names, proposal=poses)
+        if in_table and is_poses(poses := propose(sample_of(text := sniff(path)), text)):
+            return replace(description, summary=_POSES, columns=text.names, proposal=poses)
         return replace(description, proposal=MapProposal(**proposal)) if isinstance(proposal, dict) else description
     description = describe_record(read, path=str(path), format_name=name)
     if not how.columns and name in ("csv", "parquet"):
@@ -373,38 +374,36 @@ def mean_rate_hz(*records: Record) -> float:
 def needs_map(path: str | Path) -> bool:
     """Return True if a file is a table that requires a map: it has neither undrift's own names nor units."""
     name, _ = format_of(path)
-    return name == "text" or (name in _TABLES and not is_native(_contents(Path(path), name).names))
+    return name == "text" or (name in _TABLES and not is_native(_sample(Path(path), name)[0].names))
 
 
-def _contents(path: Path, name: str) -> ForeignTable:
-    """Return the names of a table, with its text or its arrays."""
+def _sample(path: Path, name: str) -> tuple[RawTable, Text | None]:
+    """Return a table, or the first MiB of a text and how it was opened."""
     if name == "parquet":
-        return ForeignTable(names=parquet_names(path))
+        return read_parquet_table(path), None
     if name == "mat":
-        arrays = mat_arrays(path)
-        return ForeignTable(names=tuple(key for key, _ in arrays), arrays=arrays)
+        return columns_of_arrays(mat_arrays(path), path), None
     text = log_text(path) if name == "log" else sniff(path)
-    return ForeignTable(names=text.names, text=text)
+    return sample_of(text), text
 
 
 def _needs(path: Path, name: str) -> Description | None:
     """Return the description of a file that cannot be read without a map or as a recording, None if it can."""
-    if name not in _TABLES or (name == "log" and states_units(log_sheet(path))):
+    if name not in _TABLES or (name == "log" and states_units(labelled(log_text(path)))):
         return None
-    table = _contents(path, name)
+    table, text = _sample(path, name)
     if is_native(table.names):
         return None
     if native_reference(table.names) is not None:
         return _reference(path, name)
-    proposal = propose(table)
+    proposal = propose(table, text)
     if is_poses(proposal):
         return replace(_not_read(path, name, table.names, _POSES), proposal=proposal)
-    if (foreign := foreign_kind(table)) is not None:
+    if (foreign := foreign_kind(table, text)) is not None:
         return _not_read(path, name, table.names, foreign)
-    columns = tuple(f"{key} {array.shape}" for key, array in table.arrays) or table.names
-    what = "arrays or columns" if table.text is None else "columns without names" if table.nameless else "columns"
+    what = "columns" if text is None or text.layout.header else "columns without names"
     needed = f"a table of {len(table.names)} {what}, which needs a map with the true units"
-    return replace(_not_read(path, name, columns, needed), proposal=proposal)
+    return replace(_not_read(path, name, table.names, needed), proposal=proposal)
 
 
 def _not_read(path: Path, name: str, columns: tuple[str, ...], what: str, *, missing: str = "") -> Description:

@@ -369,12 +369,22 @@ def read_mat(path: Path, how: ColumnMap) -> RawTable:
     return replace(table_of_arrays(arrays, path, (own or how).wanted()), own=own)
 
 
+def columns_of_arrays(arrays: Arrays, path: str | Path) -> RawTable:
+    """Return arrays as columns, whose lengths may differ. An array (N, K) becomes K columns ``name[0]`` ... ."""
+    columns: dict[str, NDArray[Any]] = {}
+    for name, array in arrays:
+        if array.ndim == 1:
+            columns[name] = array
+        elif array.ndim == 2:
+            columns |= {f"{name}[{k}]": column for k, column in enumerate(array.T)}
+    return RawTable(source=str(path), names=tuple(columns), columns=tuple(columns.values()))
+
+
 def table_of_arrays(arrays: Arrays, path: str | Path, wanted: tuple[Column, ...]) -> RawTable:
-    """Return the arrays that are as long as the first array of `wanted`, as a table. An array (N, K) becomes K columns
-    ``name[0]`` ... .
-    """
-    lengths = {name: len(array) for name, array in arrays if array.ndim in (1, 2)}
-    lengths |= {f"{name}[{k}]": len(array) for name, array in arrays if array.ndim == 2 for k in range(array.shape[1])}
+    """Return the arrays that are as long as the first array of `wanted`, as a table."""
+    table = columns_of_arrays(arrays, path)
+    lengths = dict(zip(table.names, map(len, table.columns), strict=True))
+    lengths |= {name: len(array) for name, array in arrays if array.ndim == 2}
     listed = ", ".join(f"{name} {array.shape}" for name, array in arrays[:16]) or "no arrays"
     for column in wanted:
         if column not in lengths:
@@ -387,13 +397,8 @@ def table_of_arrays(arrays: Arrays, path: str | Path, wanted: tuple[Column, ...]
             f"clocks into separate records."
         )
     length = next(iter(rows.values()))
-    columns: dict[str, NDArray[Any]] = {}
-    for name, array in arrays:
-        if array.ndim in (1, 2) and len(array) == length:
-            columns |= (
-                {name: array} if array.ndim == 1 else {f"{name}[{k}]": array[:, k] for k in range(array.shape[1])}
-            )
-    return RawTable(source=str(path), names=tuple(columns), columns=tuple(columns.values()))
+    columns = {name: column for name, column in zip(table.names, table.columns, strict=True) if len(column) == length}
+    return replace(table, names=tuple(columns), columns=tuple(columns.values()))
 
 
 read_xdf, read_ros, read_ulog = reader("XDF", _xdf), reader("ROS", _ros), reader("ULog", _ulog)

@@ -26,8 +26,9 @@ from undrift.errors import InputError
 from undrift.files import read_bytes, read_so_far
 from undrift.io.column_map import AXES, ColumnMap, TextLayout
 from undrift.io.columns import RawTable, is_date, is_number
-from undrift.io.labelled import Sheet, as_utf8, is_unit, label_of, labelled, sheet_of, sheet_table, states_units
-from undrift.io.text import Text, parse_text
+from undrift.io.labelled import labelled, sheet_table, states_units
+from undrift.io.labels import is_unit, label_of
+from undrift.io.text import Text, as_utf8, find_table, parse_text, text_of
 
 _HEAD = 1 << 16
 _WATCHED = 1 << 16  # lines, between two words of how far a file is read
@@ -242,8 +243,8 @@ def is_log(path: Path, head: bytes) -> bool:
         return False
     head = read_bytes(path, _HEAD)
     head = head[: head.rfind(b"\n") + 1]
-    sheet = sheet_of(path, head)
-    if sheet is not None and sum(map(bool, sheet.names)) >= 0.5 * len(sheet.names):
+    table = find_table(path, head)
+    if table is not None and table.layout.header:
         return False
     log = find_readings(head)
     if log is None or len(log.names) < 3 or log.lost > 0.2 * log.content.count(b"\n"):
@@ -270,26 +271,18 @@ def _readings_of(path: Path, _size: int, _time: int) -> SerialLog | None:
 
 
 def log_text(path: Path, log: SerialLog | None = None) -> Text:
-    """Return the readings of a log as a text table, for a map."""
+    """Return the readings of a log as a text table."""
     log = log or read_readings(path)
-    layout = TextLayout(header=not log.names[-1].isdecimal())
-    return Text(path=path, content=log.content, head=log.content[: 1 << 20], names=log.names, layout=layout, skip=0)
-
-
-def log_sheet(path: Path, log: SerialLog | None = None) -> Sheet:
-    """Return the readings of a log as a sheet, its columns labelled."""
-    log = log or read_readings(path)
-    layout, blank = TextLayout(header=False), ("",) * len(log.names)
-    return labelled(Sheet(path=path, names=log.names, units=blank, layout=layout, rows=log.content))
+    return text_of(path, log.content, log.names, TextLayout(header=not log.names[-1].isdecimal()))
 
 
 def read_log(path: Path, how: ColumnMap) -> RawTable:
     """Read a log with a map, or without a map if the log contains its units."""
     log = read_readings(path)
-    sheet = log_sheet(path, log)
+    text = log_text(path, log)
     if how.columns:
-        table = parse_text(log_text(path, log), how.wanted(numeric=True))
-    elif states_units(sheet):
+        table = parse_text(text, how.wanted(numeric=True))
+    elif states_units(sheet := labelled(text)):
         table = sheet_table(sheet, how)
     else:
         raise InputError(

@@ -77,7 +77,6 @@ class ClusterPose:
     reference: Reference  # q_nb with b the frame m of the cluster, and position of its centroid
     template: FloatArray  # (K, 3), markers in m, m
     rms: float  # root mean square of the residuals of the pose, over the frames with a pose, m
-    visible: FloatArray  # (N,), markers seen in each frame
 
 
 def pose_from_cluster(markers: Markers, labels: tuple[str, ...] | list[str]) -> Reference:
@@ -87,8 +86,6 @@ def pose_from_cluster(markers: Markers, labels: tuple[str, ...] | list[str]) -> 
 
 def fit_cluster(markers: Markers, labels: tuple[str, ...] | list[str]) -> ClusterPose:
     """Fit a rigid body to a cluster of markers, frame by frame (W. Kabsch, Acta Cryst. A32, 1976)."""
-    from scipy.spatial.transform import Rotation
-
     if len(labels) < 3 or len(set(labels)) != len(labels):
         raise InputError(
             f"cluster: expected three different markers or more, got {', '.join(labels) or 'none'}. Name three."
@@ -110,15 +107,24 @@ def fit_cluster(markers: Markers, labels: tuple[str, ...] | list[str]) -> Cluste
     square = np.where(visible, (misfit**2).sum(axis=2), 0.0).sum(axis=1)
     residual = np.where(good, np.sqrt(square / np.maximum(visible.sum(axis=1), 1)), np.nan)
     rms = float(np.sqrt(np.nanmean(residual**2)))
-    q_nb = np.full((len(points), 4), np.nan)
-    q_nb[good] = signed(Rotation.from_matrix(turn[good]).as_quat(scalar_first=True))
+    q_nb = quaternions_of(turn, good)
+    q_nb[good] = signed(q_nb[good])
     reference = Reference(
         time=markers.time,
         q_nb=q_nb,
         position=np.where(good[:, None], shift, np.nan),
         name=f"{markers.name} cluster {' '.join(labels)} (rigid within {1e3 * rms:.2f} mm rms)".strip(),
     )
-    return ClusterPose(reference=reference, template=template, rms=rms, visible=visible.sum(axis=1).astype(np.float64))
+    return ClusterPose(reference=reference, template=template, rms=rms)
+
+
+def quaternions_of(matrices: FloatArray, known: BoolArray) -> FloatArray:
+    """Return the quaternions (N, 4) of rotation matrices (N, 3, 3), NaN where a matrix is not known."""
+    from scipy.spatial.transform import Rotation
+
+    quaternions = np.full((len(matrices), 4), np.nan)
+    quaternions[known] = Rotation.from_matrix(matrices[known]).as_quat(scalar_first=True)
+    return quaternions
 
 
 def level_from(points: FloatArray, up: Up) -> FloatArray:

@@ -21,7 +21,9 @@ from undrift.files import MOST_BYTES, read_bytes, sound, too_large
 from undrift.io.clock import onto_clock
 from undrift.io.column_map import AXES, ColumnMap, native_map
 from undrift.io.columns import RawTable, ReadResult, build_record, date_of, native_columns
-from undrift.io.labelled import Sheet, as_utf8, label_of, labelled, open_sheet, sheet_table
+from undrift.io.labelled import Sheet, open_sheet, sheet_table
+from undrift.io.labels import label_of
+from undrift.io.text import as_utf8
 
 OPPOSITE_SIGN = "acceleration multiplied by -1: iOS reads -1 g along an axis that points up"
 UNKNOWN_SIGN = "the file does not give the sign of acceleration (iOS and Android differ). Export Metadata.csv too."
@@ -78,8 +80,8 @@ def read_phone_pair(gyro_file: Path, accel_file: Path, how: ColumnMap) -> RawTab
 def _read_file(file: Path, how: ColumnMap) -> tuple[ReadResult, np.datetime64]:
     """Return the content of a file, and the date of its first row. Dates are counted from the first row."""
     sheet = open_sheet(file)
-    start = date_of(sheet.rows[:64].split(b",", 1)[0].decode("utf-8", "replace"))
-    sheet = _sensor_logger(sheet) if sheet.names[:2] == ("time", "seconds_elapsed") else labelled(sheet)
+    start = date_of(next(iter(sheet.text.cells()), ""))
+    sheet = _sensor_logger(sheet) if sheet.text.names[:2] == ("time", "seconds_elapsed") else sheet
     return build_record(sheet_table(sheet, how.but(clock="file"))), start
 
 
@@ -118,7 +120,7 @@ def _sensor_logger(sheet: Sheet) -> Sheet:
     """Label the columns from the file name. Columns of a watch or headphones have their own names."""
     stem = sheet.path.name.split(".")[0]
     kind = "Linear acceleration" if stem == "Accelerometer" else stem
-    names = tuple(f"{kind} {name}" if name in AXES else name for name in sheet.names)
+    names = tuple(f"{kind} {name}" if name in AXES else name for name in sheet.text.names)
     names = tuple(re.sub("^acceleration(?=[XYZ]$)", "Linear acceleration", name) for name in names)
     labels = [None if name == "time" else label_of(name, "s" * (name == "seconds_elapsed"), _UNITS) for name in names]
     notes = ["units by the manual of Sensor Logger, not in the file: accel m/s2, gyro rad/s"]
@@ -128,7 +130,7 @@ def _sensor_logger(sheet: Sheet) -> Sheet:
             label._replace(gain=sign, unit=unit) if label and label.channel == "accel" else label for label in labels
         ]
         notes = (notes if unit == "m/s2" else []) + accel_notes
-    return replace(sheet, names=names, labels=tuple(labels), notes=tuple(notes))
+    return replace(sheet, text=replace(sheet.text, names=names), labels=tuple(labels), notes=tuple(notes))
 
 
 def _accel_unit_and_sign(sheet: Sheet) -> tuple[str, float, list[str]]:
@@ -136,7 +138,7 @@ def _accel_unit_and_sign(sheet: Sheet) -> tuple[str, float, list[str]]:
     ios = _follows_ios(sheet.path.with_name("Metadata.csv"))
     if not sheet.path.name.startswith("AccelerometerUncalibrated"):
         return "m/s2", -1.0 if ios else 1.0, [UNKNOWN_SIGN] if ios is None else [OPPOSITE_SIGN] * ios
-    columns = [k for k, name in enumerate(sheet.names) if name in AXES]
+    columns = [k for k, name in enumerate(sheet.text.names) if name in AXES]
     size = float(np.nanmedian(np.linalg.norm(sheet.array(columns), axis=1))) if len(columns) == 3 else np.nan
     if ios is not None and ios != (size < _NO_GRAVITY):
         raise FileFormatError(

@@ -41,11 +41,10 @@ from undrift.io.column_map import (
     read_toml,
 )
 from undrift.io.columns import RawTable, read_time
-from undrift.io.labelled import Sheet, as_utf8
 from undrift.io.libraries import Arrays, table_of_arrays
-from undrift.io.mocap import Markers, Up, fit_cluster, markers_of, pose_from_cluster
+from undrift.io.mocap import Markers, Up, fit_cluster, markers_of, pose_from_cluster, quaternions_of
 from undrift.io.parquet import read_parquet_table
-from undrift.io.text import Text, open_text, parse_text, write_rows
+from undrift.io.text import Text, as_utf8, open_text, parse_text, text_of, write_rows
 from undrift.record import Reference
 from undrift.units import RADIAN_PER_DEGREE, si_factor
 
@@ -80,11 +79,32 @@ class Body:
 
 def find_body(markers: Markers, name: BodyName) -> Body:
     """Return an anatomical segment from marker trajectories."""
+    if name not in get_args(BodyName):
+        raise InputError(f"body: expected {', '.join(get_args(BodyName))}, got {name!r}. Choose one.")
+    pelvis = next((four for four in _PELVES if all(find_label(markers, label) for label in four)), _PELVES[0])
+    labels = _needed(markers, pelvis if name == "pelvis" else (*pelvis, "C7"), name)
+    points, residual = markers.pick(labels), 0.0
+    visible: BoolArray = np.asarray(np.isfinite(points).all(axis=(1, 2)))
     if name == "pelvis":
-        return _pelvis(markers)
-    if name == "trunk":
-        return _trunk(markers)
-    raise InputError(f"body: expected {', '.join(get_args(BodyName))}, got {name!r}. Choose one.")
+        cluster = fit_cluster(markers, labels)
+        poses, residual = cluster.reference, cluster.rms
+        rear, axes = _pelvis_axes(cluster.template)
+        q_nb = quaternion_product(poses.q_nb, quaternions_of(axes[None], np.array([True])))
+        origin = np.asarray(poses.position) + rotate(poses.q_nb, rear)
+    else:
+        origin, axes = _pelvis_axes(points[:, :4])
+        axes = _axes(up=points[:, 4] - origin, forward=axes[:, :, 0])
+        visible &= np.isfinite(axes).all(axis=(1, 2))
+        q_nb = quaternions_of(axes, visible)
+    if not visible.any():
+        raise InputError(f"{markers.name or 'markers'}: {name}: expected frames with all of its markers, got none")
+    reference = Reference(
+        time=markers.time,
+        q_nb=np.where(visible[:, None], q_nb, np.nan),
+        position=np.where(visible[:, None], origin, np.nan),
+        name=f"{markers.name} {name}".strip(),
+    )
+    return Body(reference=reference, labels=tuple(labels), residual=residual)
 
 
 def device_on(body: Body, *, offset_b: tuple[float, float, float] = L5_OFFSET) -> Reference:
@@ -93,15 +113,9 @@ def device_on(body: Body, *, offset_b: tuple[float, float, float] = L5_OFFSET) -
     ``p_d = p_b + R_nb r``: the device's case d is at r from the body's origin.
     """
     poses = body.reference
-    origin = poses.position if poses.position is not None else np.full((len(poses), 3), np.nan)
+    position = np.asarray(poses.position) + rotate(poses.q_nb, np.array(offset_b))
     millimetres = ", ".join(f"{1e3 * value:g}" for value in offset_b)
-    return Reference(
-        time=poses.time,
-        q_nb=poses.q_nb,
-        position=origin + rotate(poses.q_nb, np.array(offset_b)),
-        moving=poses.moving,
-        name=f"{poses.name}, device at ({millimetres}) mm",
-    )
+    return replace(poses, position=position, name=f"{poses.name}, device at ({millimetres}) mm")
 
 
 def find_label(markers: Markers, name: str) -> str | None:
@@ -125,11 +139,6 @@ def _needed(markers: Markers, names: tuple[str, ...], body: str) -> list[str]:
     return [label for label in labels if label is not None]
 
 
-def _pelvis_labels(markers: Markers) -> list[str]:
-    candidates = (names for names in _PELVES if all(find_label(markers, name) for name in names))
-    return _needed(markers, next(candidates, _PELVES[0]), "pelvis")
-
-
 def _pelvis_axes(shape: FloatArray) -> tuple[FloatArray, FloatArray]:
     left_front, right_front, left_rear, right_rear = np.moveaxis(shape, -2, 0)
     rear, front = 0.5 * (left_rear + right_rear), 0.5 * (left_front + right_front)
@@ -143,49 +152,6 @@ def _axes(*, up: FloatArray, forward: FloatArray) -> FloatArray:
     y = np.cross(z, forward)
     y = y / np.linalg.norm(y, axis=-1, keepdims=True)
     return np.stack((np.cross(y, z), y, z), axis=-1)
-
-
-def _pelvis(markers: Markers) -> Body:
-    from scipy.spatial.transform import Rotation
-
-    labels = _pelvis_labels(markers)
-    cluster = fit_cluster(markers, labels)
-    origin, turn = _pelvis_axes(cluster.template)
-    q_mb = Rotation.from_matrix(turn).as_quat(scalar_first=True)
-    complete = cluster.visible >= len(labels)
-    poses = cluster.reference
-    centre = poses.position if poses.position is not None else np.full((len(poses), 3), np.nan)
-    return Body(
-        reference=Reference(
-            time=poses.time,
-            q_nb=np.where(complete[:, None], quaternion_product(poses.q_nb, q_mb), np.nan),
-            position=np.where(complete[:, None], centre + rotate(poses.q_nb, origin), np.nan),
-            name=f"{markers.name} pelvis".strip(),
-        ),
-        labels=tuple(labels),
-        residual=cluster.rms,
-    )
-
-
-def _trunk(markers: Markers) -> Body:
-    from scipy.spatial.transform import Rotation
-
-    labels = [*_pelvis_labels(markers), *_needed(markers, ("C7",), "trunk")]
-    x = markers.pick(labels)
-    low, frame = _pelvis_axes(x[:, :4])
-    turn = _axes(up=x[:, 4] - low, forward=frame[:, :, 0])
-    visible: BoolArray = np.asarray(np.isfinite(turn).all(axis=(1, 2)))
-    if not visible.any():
-        raise InputError(f"{markers.name or 'markers'}: trunk: expected frames with all of its markers, got none")
-    q = np.full((len(x), 4), np.nan)
-    q[visible] = Rotation.from_matrix(turn[visible]).as_quat(scalar_first=True)
-    poses = Reference(
-        time=markers.time,
-        q_nb=q,
-        position=np.where(visible[:, None], low, np.nan),
-        name=f"{markers.name} trunk".strip(),
-    )
-    return Body(reference=poses, labels=tuple(labels), residual=0.0)
 
 
 # ---- tables of quaternions
@@ -384,26 +350,16 @@ def _poses(table: RawTable, how: ReferenceMap, path: Path) -> Reference:
 def _quaternions(path: Path, values: FloatArray, how: ReferenceMap) -> FloatArray:
     """Return unit quaternions (N, 4) of angles (N, 1), of matrices (N, 9), or of quaternions that are nearly unit."""
     if values.shape[1] == 9:
-        return of_matrices(path, values)
+        matrices, known = values.reshape(-1, 3, 3), np.asarray(np.isfinite(values).all(axis=1))
+        wrong = np.abs(matrices @ np.swapaxes(matrices, 1, 2) - np.eye(3)).max(axis=(1, 2)) > 2 * NEARLY_UNIT
+        if (wrong | (np.linalg.det(matrices) < 0.0))[known].any():
+            raise FileFormatError(f"{path}: the matrices are not rotation matrices. Export orientations again.")
+        return quaternions_of(matrices, known)
     if values.shape[1] == 1:
         axis = np.array(how.axis) / np.linalg.norm(np.array(how.axis))
         return quaternion_of(values * _ANGLE[how.units["angle"]] * axis)
     norm = np.linalg.norm(values, axis=1)[:, None]
     return np.where(np.abs(norm - 1.0) < NEARLY_UNIT, values / np.where(norm > 0.0, norm, 1.0), values)
-
-
-def of_matrices(path: Path, values: FloatArray) -> FloatArray:
-    """Return the quaternions (N, 4) of rotation matrices (N, 9), by rows; gaps stay gaps."""
-    from scipy.spatial.transform import Rotation
-
-    finite, q_nb = np.isfinite(values).all(axis=1), np.full((len(values), 4), np.nan)
-    matrices = values[finite].reshape(-1, 3, 3)
-    if (np.abs(matrices @ np.swapaxes(matrices, 1, 2) - np.eye(3)) > 2 * NEARLY_UNIT).any() or (
-        np.linalg.det(matrices) < 0.0
-    ).any():
-        raise FileFormatError(f"{path}: the matrices are not rotation matrices. Export orientations again.")
-    q_nb[finite] = Rotation.from_matrix(matrices).as_quat(scalar_first=True)
-    return q_nb
 
 
 # ---- OpenSim: poses of named bodies
@@ -425,9 +381,10 @@ def read_sto(path: Path, name: str | None = None, up: Up | None = None) -> Refer
             names=tuple(names),
         )
     width, body_name = 1 + 4 * len(names), name or names[0]
-    layout, columns = TextLayout(delimiter="\t", header=False), tuple(map(str, range(width)))
-    sheet = Sheet(path=path, names=columns, layout=layout, rows=rows.replace(b",", b"\t"))
-    values = sheet.array(tuple(range(width))) if rows.strip() else np.empty((0, width))
+    layout = TextLayout(delimiter="\t", header=False)
+    text = text_of(path, rows.replace(b",", b"\t"), tuple(map(str, range(width))), layout)
+    table = parse_text(text, tuple(range(width)))
+    values = np.stack([table.numbers(k) for k in range(width)], axis=1)
     if len(values) < 2:
         raise FileFormatError(
             f"{path}: expected two frames or more, got {len(values)}. The file is truncated. Copy it again."

@@ -12,6 +12,7 @@ import io
 import json
 import os
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
@@ -34,12 +35,25 @@ from undrift.files import (
     write_together,
 )
 from undrift.io.column_map import READ_SETTINGS, Column, ColumnMap, TextLayout, native_map
-from undrift.io.columns import FORMAT, KIND, RawTable, find_column, is_number, marks_of, native_columns, read_marks
+from undrift.io.columns import (
+    FORMAT,
+    KIND,
+    RawTable,
+    find_column,
+    is_date,
+    is_number,
+    marks_of,
+    native_columns,
+    read_marks,
+)
+from undrift.io.labels import is_unit
 from undrift.record import Record
 
 Provenance: TypeAlias = Mapping[str, Any]  # origin of a record and its program, as JSON
 EMPTY = ["", "NaN", "nan", "NAN", "NA", "N/A", "n/a", "null", "NULL", "None", "-nan", "#N/A"]
 _HEAD = 1 << 20  # bytes at the start
+_LINES = 1 << 16  # bytes at the start, in which the layout is found
+_NUMERIC = 0.6  # of the filled cells of a row of readings, and of units
 _NO_LINE_END = "the last row has no line end: it may be cut"
 _PIECE = 1 << 24  # bytes that are parsed at a time
 _LINE = 1 << 12  # bytes of the end in which blank lines are looked for
@@ -199,18 +213,33 @@ class Appender:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Text:
-    """A text table, opened and its header read, its rows not parsed yet."""
+    """A text table whose layout is known, its rows not parsed yet."""
 
     path: Path
-    content: bytes | None  # unpacked text, or None if Arrow can read the file itself
-    head: bytes  # The first MiB of the text
-    names: tuple[str, ...]  # Header, or positions as text
+    names: tuple[str, ...]  # header, or positions as text
     layout: TextLayout
-    skip: int  # Lines before the first row
+    skip: int = 0  # lines before the first row
+    content: bytes | None = None  # unpacked text, or None if Arrow can read the file itself
+    head: bytes  # first MiB of the text
+    preamble: tuple[str, ...] = ()  # lines before the header
+    units: tuple[str, ...] = ()  # cells of the row of units, if there is one
+
+    def cells(self, number: int = 0) -> list[str]:
+        """Return the cells of a row with decimal points, none if there is no such row."""
+        lines = self.head.splitlines()[self.skip + number : self.skip + number + 1]
+        text = [line.decode("utf-8", "replace").replace(self.layout.decimal, ".") for line in lines]
+        return cells_of(text[0], self.layout.delimiter) if text else []
+
+
+def text_of(path: Path, content: bytes, names: tuple[str, ...], layout: TextLayout | None = None) -> Text:
+    """Return rows without a header as a text table."""
+    return Text(
+        path=path, content=content, head=content[:_HEAD], names=names, layout=layout or TextLayout(header=False)
+    )
 
 
 def open_text(path: str | Path, layout: TextLayout | None = None) -> Text:
-    """Open a text table and read its header."""
+    """Open a text table of a known layout and read its header."""
     layout, path = layout or TextLayout(), checked_file(path)
     blanks = layout.delimiter == " "
     content = read_bytes(path) if blanks or is_gzip(path) else None
@@ -231,12 +260,92 @@ def open_text(path: str | Path, layout: TextLayout | None = None) -> Text:
                 f"{path}: expected UTF-8 text, got byte 0x{lines[0][error.start]:02x} in the header. Save the file as UTF-8."
             ) from error
         names = tuple(next(csv.reader([header.strip(" ") if blanks else header], delimiter=layout.delimiter), ()))
-        if _is_row(names, layout.decimal):
+        if _is_readings(names, layout.decimal):
             layout = layout.but(header=False)
     if not layout.header:  # positions, as many as most of the first rows have columns
         counts = [line.count(layout.delimiter.encode()) + 1 for line in lines]
         names = tuple(str(i) for i in range(max(set(counts), key=counts.count)))
     return Text(path=path, content=content, head=head, names=names, layout=layout, skip=skip + layout.header)
+
+
+# ---- the layout of a text, found in its first lines
+
+
+def sniff(path: str | Path) -> Text:
+    """Open a text table with the layout that its first lines suggest."""
+    path = Path(path)
+    head = read_bytes(path, _LINES)
+    table = find_table(path, head)
+    if table is None:  # words: the first line is the header
+        lines = head.decode("utf-8", "replace").splitlines()[:64]
+        delimiter, decimal = separators_of([line for line in lines if line.strip()])
+        return open_text(path, TextLayout(delimiter=delimiter, decimal=decimal))
+    text = open_text(path, table.layout)
+    if table.layout.header and len(text.names) != len(table.names):  # a map cannot name its columns
+        text = open_text(path, table.layout.but(header=False, skip_rows=table.skip))
+    return replace(text, skip=text.skip + bool(table.units), preamble=table.preamble, units=table.units)
+
+
+def find_table(path: Path, content: bytes) -> Text | None:
+    """Return the table in a text in UTF-8 or Latin-1, or None if no rows of numbers follow each other."""
+    content = as_utf8(content)
+    lines = [line.decode("utf-8", "replace") for line in content[:_LINES].splitlines()]
+    lines = lines[:-1] if len(content) > _LINES else lines
+    delimiter, decimal = separators_of([line for line in lines if line.strip()])
+    table = [cells_of(line, delimiter) for line in lines]
+    rows = [k for k, cells in enumerate(table) if _is_row(cells, decimal)]
+    start = next((k for k in rows if k + 1 in rows or k + 2 in rows or k == len(table) - 1), None)
+    if start is None:
+        return None
+    above = [k for k in range(start) if lines[k].strip()]
+    if is_numbered(table[start]) and start + 1 in rows and not (above and len(table[above[-1]]) == len(table[start])):
+        above, start = [*above, start], start + 1  # columns that are numbered, not named
+    width = Counter(len(table[k]) for k in rows if k >= start).most_common(1)[0][0]
+    units: tuple[str, ...] = ()
+    if len(above) > 1 and _are_units(table[above[-1]]) and not _are_units(table[above[-2]]):
+        units = tuple(_bare(cell) for cell in table[above.pop()])
+    at = above[-1] if above else start
+    names = [] if is_numbered(table[at]) else table[at][:]
+    while len(names) > width and not names[-1]:
+        names.pop()
+    filled = sum(map(bool, names))
+    header = at < start and width <= 2 * filled <= 4 * width  # else the banner of a program
+    if header:
+        width = max(width, len(names))
+    else:
+        start = next(k for k in rows if k >= start and len(table[k]) == width)  # not the rest of a row
+    names = (names + [""] * width)[:width] if header else [*map(str, range(width))]
+    return Text(
+        path=path,
+        content=(content := packed(content) if delimiter == " " else content),
+        head=content[:_HEAD],
+        preamble=tuple(lines[: at if header else start]),
+        names=tuple(names),
+        units=(units + ("",) * width)[:width] if units else (),
+        layout=TextLayout(delimiter=delimiter, decimal=decimal, header=header, skip_rows=at if header else start),
+        skip=start,
+    )
+
+
+def as_utf8(content: bytes) -> bytes:
+    """Return text as UTF-8 without a byte-order mark. Text that is not UTF-8 is read as Latin-1."""
+    try:
+        content.decode("utf-8")
+    except UnicodeDecodeError:
+        content = content.decode("cp1252", "replace").encode("utf-8")
+    return content.removeprefix(b"\xef\xbb\xbf")
+
+
+def separators_of(lines: list[str]) -> tuple[str, str]:
+    """Return delimiter and decimal sign of most lines. A comma is a delimiter only if no other character can be."""
+    body = lines[-max(2, len(lines) // 4) :][-32:]
+    delimiter = next((mark for mark in ";\t," if sum(mark in line for line in body) > 0.8 * len(body)), " ")
+    if delimiter == ",":
+        return delimiter, "."
+    cells = [cell for line in body for cell in cells_of(line, delimiter)]
+    commas = sum(bool(re.fullmatch(r"[-+]?\d+,\d+([eE][-+]?\d+)?", cell)) for cell in cells)
+    points = sum(bool(re.fullmatch(r"[-+]?\d*\.\d+([eE][-+]?\d+)?", cell)) for cell in cells)
+    return delimiter, "," if commas > points else "."
 
 
 def cells_of(line: str, delimiter: str) -> list[str]:
@@ -253,10 +362,35 @@ def packed(rows: bytes) -> bytes:
     return re.sub(rb"^ | $", b"", re.sub(rb"[ \t]+", b" ", rows.replace(b"\r\n", b"\n")), flags=re.MULTILINE)
 
 
-def _is_row(names: tuple[str, ...], decimal: str) -> bool:
+def _is_row(cells: list[str], decimal: str) -> bool:
+    """Return True if most filled cells of a line are numbers."""
+    filled = [cell.replace(decimal, ".") for cell in cells if cell]
+    numbers = sum(is_number(cell) or is_date(cell) for cell in filled)
+    return numbers >= min(3, len(cells)) > 0 and numbers >= _NUMERIC * len(filled)
+
+
+def is_numbered(cells: list[str]) -> bool:
+    """Return True for the positions of columns in place of their names: 0, 1, 2, ..."""
+    return len(cells) > 2 and all(cell.isdecimal() for cell in cells) and set(np.diff([*map(int, cells)])) == {1}
+
+
+def _is_readings(names: tuple[str, ...], decimal: str) -> bool:
     """Return True if a header is a row of readings: all cells but one are numbers and not column positions."""
     cells = [float(cell) for name in names if is_number(cell := name.replace(decimal, "."))]
     return len(cells) > 1 and len(cells) >= len(names) - 1 and bool((np.diff(cells) != 1.0).any())
+
+
+def _bare(cell: str) -> str:
+    """Return a unit without the brackets around it."""
+    return cell[1:-1].strip() if re.fullmatch(r"\([^()]*\)|\[[^\[\]]*\]", cell) else cell
+
+
+def _are_units(cells: list[str]) -> bool:
+    filled = [_bare(cell) for cell in cells if cell]
+    return bool(filled) and sum(is_unit(cell) for cell in filled) >= _NUMERIC * len(filled)
+
+
+# ---- rows
 
 
 def parse_text(text: Text, wanted: tuple[Column, ...]) -> RawTable:

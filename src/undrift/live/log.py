@@ -15,9 +15,10 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import InputError, RigTimeout
-from undrift.io.guess import ForeignTable, MapProposal, propose
-from undrift.io.labelled import Label, label_of, sheet_of
+from undrift.io.guess import MapProposal, propose, sample_of
+from undrift.io.labels import Label, label_of
 from undrift.io.log import LineReader, LogLine, SerialLog, cycle_of, find_readings, lines_of, log_text, readings_in
+from undrift.io.text import find_table
 from undrift.live.clock import DeviceClock
 from undrift.live.decoder import COUNTER, IGNORED, Decoder, StreamDescription
 from undrift.live.transports import POLL_S, ByteSource, SerialPort, device_address, source_at
@@ -120,7 +121,8 @@ def description_of(pieces: Pieces, name: str, given_options: dict[str, str]) -> 
     log, first_words, last_line = _log_of(pieces, name)
     channels = [IGNORED] * len(log.names)
     values, arrival_s = _readings_of(pieces, first_words, len(channels))
-    proposal = propose(ForeignTable(names=log.names, text=log_text(Path(name), log)))  # as for a file
+    text = log_text(Path(name), log)
+    proposal = propose(sample_of(text), text)  # as for a file
     labels = [label_of(column) for column in log.names]
     columns_of = _columns_of(proposal, log.names, labels)
     triads = [columns_of[triad] for triad in ("gyro", "accel") if triad in columns_of]
@@ -157,9 +159,15 @@ def _log_of(pieces: Pieces, name: str) -> tuple[SerialLog, str, str]:
     whole_lines = content.partition(b"\n")[2]  # the first line may be torn
     lines = [line.strip()[:60] for line in content.decode("utf-8", "replace").split("\n")[:-1]]
     last_line = next(filter(None, reversed(lines)), "")
-    log, sheet = find_readings(whole_lines), sheet_of(Path(name), content)
-    if log is not None and log.plain and sheet is not None and any(sheet.names) and len(sheet.names) == len(log.names):
-        log = replace(log, names=sheet.names)  # from a header
+    log, table = find_readings(whole_lines), find_table(Path(name), content)
+    if (
+        log is not None
+        and log.plain
+        and table is not None
+        and table.layout.header
+        and len(table.names) == len(log.names)
+    ):
+        log = replace(log, names=table.names)
     if log is None or len(log.names) < 3 or log.names[-1].isdecimal():
         raise InputError(f"{name}: expected lines of numbers with names, got '{last_line}'. {DESCRIBE}")
     first_shape = cycle_of([*lines_of(whole_lines)])[0]
