@@ -9,8 +9,9 @@ import pytest
 
 from testkit.cohorts import share_limits
 from testkit.data import data_path, show
-from undrift.drift.observe import nominal_triad, observe_rests
+from undrift.drift.observe import observe_rests
 from undrift.drift.offset import fit_static, variance_of_mean
+from undrift.fit.triad import nominal_triad
 from undrift.model import Calibration
 from undrift.record import Record, Session, Still
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from testkit.findings import only
 from testkit.poses import fit_multi_position
 from undrift.calibration.calibrate import calibrate
-from undrift.calibration.moves import Moves, fit_moves, gravity_directions
+from undrift.calibration.moves import fit_moves
 from undrift.errors import Implausible, InputError, NotObservable, PoorFit
 from undrift.record import Record, Still
 from undrift.sim.motion.bench import BenchSettings, bench_motion
@@ -87,18 +87,6 @@ def test_turn_about_the_vertical_does_not_bias_the_offset() -> None:
     np.testing.assert_allclose(
         fit.gyro.model.offset, GYRO_OFFSET, atol=2e-4
     )  # 3 deg/s over one in twenty would be 2.6e-3
-
-
-def test_gravity_derivatives_agree_with_finite_differences() -> None:
-    record = recorded()
-    accel = fit_multi_position(record, gravity=G, gyro=False).accel.model
-    moves = Moves((record,), MOTION.stills)
-    unit, jacobian, _ = gravity_directions(moves, accel)
-    for k in range(12):
-        h = np.zeros(12)
-        h[k] = 1e-6
-        moved = replace(accel, matrix=accel.matrix + h[:9].reshape(3, 3), offset=accel.offset + h[9:])
-        np.testing.assert_allclose((gravity_directions(moves, moved)[0] - unit) / 1e-6, jacobian[:, :, k], atol=1e-5)
 
 
 def test_drifting_offset_is_stated_as_its_mean_over_the_rests() -> None:

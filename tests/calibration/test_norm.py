@@ -5,7 +5,7 @@ import pytest
 
 from testkit.findings import only
 from testkit.poses import fit_poses
-from undrift.calibration.norm import QUADRATIC_SD, _linearised, fit_norm
+from undrift.calibration.norm import QUADRATIC_SD, fit_norm
 from undrift.errors import Implausible, NotObservable, PoorFit
 
 G = 9.81
@@ -58,26 +58,6 @@ def test_poses_that_moved_get_a_bad_verdict_with_the_figure() -> None:
     assert moved.level == "fail"
     assert moved.values["rms"] == pytest.approx(fit.model.rms_residual / 9.80665e-3)
     assert fit.verdict.reasons[0] == moved.text
-
-
-def test_design_is_the_derivative_of_the_residuals() -> None:
-    rng = np.random.default_rng(5)
-    u, weight = rng.normal(size=(15, 3)) * 9.0, rng.uniform(0.5, 2.0, size=15)
-    p = np.array([1.02, 0.01, -0.02, 0.98, 0.03, 1.01, 0.1, -0.2, 0.3])
-    design, residuals = _linearised(u, p, G)
-
-    def residual(q: np.ndarray) -> np.ndarray:
-        m = np.array([[q[0], q[1], q[2]], [0.0, q[3], q[4]], [0.0, 0.0, q[5]]])
-        return np.linalg.norm((u - q[6:]) @ m.T, axis=1) - G
-
-    jacobian = np.column_stack([(residual(p + h) - residual(p - h)) / 2e-6 for h in 1e-6 * np.eye(9)])
-    np.testing.assert_allclose(residuals, residual(p), rtol=1e-12)
-    np.testing.assert_allclose(
-        design.T @ (weight * residuals), jacobian.T @ (weight * residual(p)), rtol=1e-6, atol=1e-6
-    )  # central differences
-    np.testing.assert_allclose(
-        design.T @ (weight[:, None] * design), jacobian.T @ (weight[:, None] * jacobian), rtol=1e-6, atol=1e-6
-    )
 
 
 def test_uncertainty_of_a_fit_is_that_of_a_reading_of_gravity() -> None:

@@ -172,60 +172,6 @@ def test_dwells_that_cannot_be_averaged_are_refused():
         dwell_means([Record(time=result.time, gyro=gappy)], turns)
 
 
-UNEQUAL = np.array([[900.0, 12.0, -9.0], [-5.0, 300.0, 7.0], [40.0, -30.0, 2700.0]])  # scales that no order exchanges
-
-
-def propagated(function, at, covariance):
-    """J C J' by central differences: the first order of any function of parameters (P,), written without its algebra."""
-    jacobian = []
-    for k in range(len(at)):
-        step = np.zeros(len(at))
-        step[k] = 1e-5 * max(abs(at[k]), 1e-3)
-        jacobian.append((function(at + step) - function(at - step)) / (2.0 * step[k]))
-    return np.array(jacobian).T @ covariance @ np.array(jacobian)
-
-
-def forward_covariance(design, sigma):
-    """Covariance of all parameters of the forward rows, row after row: (A' W A)^-1 of each sensor."""
-    size = design.shape[1]
-    whole = np.zeros((3 * size, 3 * size))
-    for row in range(3):
-        normal = design.T @ np.diag(1.0 / sigma[:, row] ** 2) @ design
-        whole[size * row : size * (row + 1), size * row : size * (row + 1)] = np.linalg.inv(normal)
-    return whole
-
-
-def scattered(k=UNEQUAL, grid=np.array([-90.0, -40.0, 10.0, 60.0]) * DPS, seed=11):
-    """Dwells of unequal noise, without a clock: no walk."""
-    rng = np.random.default_rng(seed)
-    means = dwells(grid=grid, k=k)
-    sigma = rng.uniform(0.02, 0.2, means.reading.shape)
-    return replace(means, noise=sigma, reading=means.reading + sigma * rng.standard_normal(sigma.shape))
-
-
-def inverse_of(rows):
-    matrix = np.linalg.inv(rows[:, :3])
-    felt = (matrix @ rows[:, 3:6]).reshape(-1) if rows.shape[1] == 7 else []
-    return np.concatenate((matrix.reshape(-1), rows[:, -1], felt))
-
-
-def test_dwells_count_by_their_noise():
-    means = scattered()
-    design = np.column_stack((imposed_rates(means, None), np.ones(len(means.axis))))
-    whole = forward_covariance(design, means.noise)
-    rows = np.array([
-        np.linalg.lstsq(design / s[:, None], y / s, rcond=None)[0] for y, s in zip(means.reading.T, means.noise.T, strict=True)
-    ])  # fmt: skip
-    expected = propagated(lambda p: inverse_of(p.reshape(3, 4)), rows.reshape(-1), whole)
-    model = fit_rate_table(means).model
-    # the covariance of the rows takes a first matrix, which is as uncertain as the last
-    np.testing.assert_allclose(model.forward_matrix, rows[:, :3], atol=1e-2 * means.noise.min())
-    np.testing.assert_allclose(model.offset, rows[:, 3], atol=1e-2 * means.noise.min())
-    size = np.sqrt(np.diag(expected))
-    np.testing.assert_allclose(model.standard_uncertainty, size, rtol=1e-3)
-    np.testing.assert_allclose(model.covariance / np.outer(size, size), expected / np.outer(size, size), atol=2e-3)
-
-
 def test_range_of_a_fit_is_what_its_dwells_reached():
     fit = fit_rate_table(dwells(grid=np.array([-90.0, -5.0, 5.0, 30.0]) * DPS))
     np.testing.assert_allclose(fit.model.valid_range, (-90.0 * DPS, 30.0 * DPS), rtol=1e-15)

@@ -9,15 +9,16 @@ from scipy.spatial.transform import Rotation
 from testkit.findings import only
 from testkit.hand_turns import Device, hidden, later, make_recording
 from undrift.calibration import reference as reference_module
-from undrift.calibration.codes import restored_gyro
 from undrift.calibration.reference import (
     CODE_PRIOR,
+    Solution,
+    Windows,
     align,
     fit_aligned,
     fit_reference,
     leave_one_out,
+    solve_windows,
 )
-from undrift.calibration.reference_windows import Solution, Windows, solve
 from undrift.errors import AlignmentError, Implausible, InputError, NotObservable
 from undrift.frames import rotate
 from undrift.model import AdcModel
@@ -138,22 +139,6 @@ def test_leave_one_out_knows_nothing_of_the_held_out_reference(noisy):
     assert not np.allclose(again[1].model.matrix, held[1].model.matrix, atol=1e-6)
 
 
-def test_rounding_is_undone_before_the_fit():
-    adc = AdcModel(gyro_lsb=np.full(3, 0.1), gyro_rounding="toward_zero")
-    u = np.array([[0.3, -0.2, 0.0], [1e-17, -1e-17, 0.1]])
-    assert np.allclose(restored_gyro(u, adc), [[0.35, -0.25, 0.0], [0.0, 0.0, 0.15]])
-    assert np.allclose(restored_gyro(u, replace(adc, gyro_rounding="floor")), u + 0.05)
-    assert restored_gyro(u, replace(adc, gyro_rounding="nearest")) is u
-    assert restored_gyro(u, None) is u
-    lsb = 2e-3
-    record, reference = make_recording(np.random.default_rng(5), Device(forward=FORWARD, offset=REST, noise=2e-3))
-    codes = replace(record, gyro=np.trunc(record.gyro / lsb) * lsb)
-    truth = AdcModel(gyro_lsb=np.full(3, lsb), gyro_rounding="toward_zero")
-    plain, undone = (fit_reference([codes], [reference], adc=adc) for adc in (None, truth))
-    error = [np.abs(f.triad.model.matrix - np.linalg.inv(FORWARD)).max() for f in (plain, undone)]
-    assert error[1] < 0.5 * error[0]
-
-
 def test_another_mounting_in_one_recording_is_an_alignment_error(exact):
     records, references = exact
     turn = Rotation.from_euler("z", 20.0, degrees=True)
@@ -243,7 +228,7 @@ def windows_of(rng: np.random.Generator, error: np.ndarray) -> Windows:
 def solved(rng: np.random.Generator, errors: list[np.ndarray]) -> Solution:
     windows = [windows_of(rng, error) for error in errors]
     design = np.concatenate([window.design for window in windows])
-    return solve(windows, design, np.zeros(12), np.full(12, np.inf), reach=REACH, scale=1.0)
+    return solve_windows(windows, design, np.zeros(12), np.full(12, np.inf), reach=REACH, scale=1.0)
 
 
 @pytest.mark.slow

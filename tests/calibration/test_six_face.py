@@ -5,8 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from testkit.cohorts import LARGER_COHORTS, first_and_long
-from testkit.data import show
 from undrift.calibration.plausibility import face_vectors
 from undrift.calibration.session import observe
 from undrift.calibration.settings import CalibrateSettings
@@ -124,48 +122,6 @@ def test_a_large_tilt_is_a_finding_and_makes_the_fit_marginal():
     assert large.code == "six_face.tilt"
     assert large.values["tilt_deg"] == pytest.approx(np.degrees(tilt))
     assert f"{np.degrees(tilt):.2f} deg" in large.sentence
-
-
-@pytest.mark.parametrize("devices", LARGER_COHORTS)
-@pytest.mark.parametrize("tilt_deg", [0.01, *first_and_long((0.02, 0.005, 0.05, 0.25))])
-def test_intervals_hold_if_tilt_and_noise_are_alike(tilt_deg, devices):
-    # 2 mm/s2 of noise are 0.012 deg of tilt.
-    rng = np.random.default_rng(9)
-    inside = []
-    for _ in range(devices):
-        forward = np.eye(3) + 0.01 * rng.standard_normal((3, 3))
-        turn = np.radians(tilt_deg) * rng.standard_normal((6, 3))
-        a = UP + np.cross(turn, UP)
-        a *= G / np.linalg.norm(a, axis=1, keepdims=True)
-        reading = a @ forward.T + OFFSET + 0.002 * rng.standard_normal((6, 3))
-        model = fit_six_face(FaceMeans(reading=reading, faces=FACES, noise=np.full((6, 3), 0.002)), gravity=G).model
-        error = np.concatenate(((model.matrix - np.linalg.inv(forward)).ravel(), model.offset - OFFSET))
-        inside.append(np.abs(error) <= 1.959964 * model.standard_uncertainty)
-    share = float(np.mean(inside))
-    show(f"tilt {tilt_deg} deg: coverage of 95 % intervals", f"{share:.4f}", (0.90, 0.98))
-    assert 0.90 <= share <= 0.98  # 2,400 intervals, twelve a device share its tilt: standard error 0.6 %
-
-
-def pooled_noise(slope=0.0, degree=1, repeats=10):
-    """Stated noise of 60 windows of white noise, as a share of what it is: known to 1 / sqrt(2 * 480 * 3) = 2 %."""
-    rng = np.random.default_rng(12)
-    n, sigma = 600, 0.03
-    ramp = slope * np.linspace(-1.0, 1.0, n)[:, None]
-    windows = [UP[k] + OFFSET + ramp + sigma * rng.standard_normal((n, 3)) for k in range(6) for _ in range(repeats)]
-    record = Record(time=np.arange(n * len(windows)) / 100.0, accel=np.concatenate(windows))
-    stills = [Still(start=n * k, stop=n * (k + 1), face=FACES[k // repeats]) for k in range(len(windows))]
-    poses = face_means([record], stills, polynomial_degree=degree)
-    return np.sqrt(np.mean(poses.noise**2)) / (sigma / np.sqrt(n))
-
-
-@pytest.mark.parametrize("degree", [0, 1, 3])
-def test_noise_counts_what_the_polynomial_of_a_face_takes(degree):
-    # 12 blocks a window; without the degrees of freedom of a cubic the noise would come out at 0.85 of itself
-    assert pooled_noise(degree=degree) == pytest.approx(1.0, abs=0.07)  # three sigma and more
-
-
-def test_a_drift_that_the_polynomial_takes_is_no_noise():
-    assert pooled_noise(slope=0.3) == pytest.approx(1.0, abs=0.07)  # ten times the noise of a sample, end to end
 
 
 def tilt_of(poses):

@@ -160,14 +160,6 @@ def test_rests_on_a_table_are_no_level_faces():
     assert np.abs(away).max() < 0.02 * DEG
 
 
-def test_mounting_stays_in_the_covariance_without_accelerometers():
-    _, session = turned()
-    axes = axes_of(session, RateTable(mount_tilt_deg=0.3, rate_uncertainty=2e-4, wobble_deg=0.0), None)
-    np.testing.assert_array_equal(axes.direction, [unit_vector(turn.axis) for turn in session.turns])
-    np.testing.assert_allclose(sigma_of(axes, session), 0.3 * DEG, rtol=1e-9)
-    assert axes.rate == 2e-4
-
-
 @pytest.mark.parametrize("name", ["table_level_deg", "mount_tilt_deg", "rate_uncertainty", "wobble_deg"])
 def test_what_no_table_can_be_is_refused(name):
     for value in (-0.1, float("nan")):

@@ -70,13 +70,6 @@ def test_two_weeks_of_recordings_give_the_offset(two_weeks, fitted):
     assert (stated.mean(axis=0) < 1.25 * FORMER_TO_COME).all()  # no prior draws the turn-on of the three axes together
 
 
-def test_the_scatter_between_switch_ons_is_found(fitted):
-    model = fitted.calibration.gyro
-    turn_on = np.sqrt(fitted.static.gyro.turn_on.variance) * model.si_per_reading("rate") / DPS
-    show("between switch-ons, deg/s", turn_on, "drawn with 0.03, and ageing of 0.02 in 30 days")
-    assert (np.abs(turn_on - 0.03) < 0.012).all()  # two standard errors of a deviation from fourteen
-
-
 def test_a_recording_without_a_rest_is_left_out_with_a_finding(two_weeks, fitted):
     device, calibration, days = two_weeks
     rng = np.random.default_rng(1)

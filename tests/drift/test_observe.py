@@ -7,7 +7,6 @@ import pandas as pd
 import pytest
 
 from testkit.data import show
-from undrift.calibration.quality import check_counted_once
 from undrift.drift.fit import fit_drift
 from undrift.drift.observe import (
     in_units_of,
@@ -231,12 +230,3 @@ def test_dwells_are_numbered_by_soak_and_carry_the_imposed_rate():
     with pytest.raises(InputError, match="has no temperature"):
         observe_steps([thermal_session], temperatures=[[np.full(6000, np.nan)]])
     assert len(observe_steps([thermal(log())], temperatures=[[temp]])) == 0
-
-
-def test_equal_readings_are_refused_however_the_clock_was_set():
-    first = log(30.0)
-    with pytest.raises(InputError, match="the same data"):
-        check_counted_once([first, replace(first, time=first.time + 1000.0)])
-    gap = np.where(np.arange(len(first))[:, None] < 400, np.nan, first.gyro)
-    # gaps are equal, accelerations are not
-    check_counted_once([replace(log(30.0, seed=k), gyro=gap) for k in range(2)])

@@ -19,7 +19,6 @@ from undrift.drift.offset import (
     warm_up_time,
 )
 from undrift.errors import NotObservable
-from undrift.model import G_NAMES
 
 NODES = np.arange(20.0, 60.1, 1.0)
 
@@ -259,18 +258,3 @@ def test_the_table_is_without_the_known_g_sensitivity():
     before, after = (fit_static(rests, nodes=np.arange(20.0, 40.5, 1.0), calibration=c) for c in (NAIVE, CALIBRATION))
     assert (after.table.gyro_uncertainty[0] < 0.2 * before.table.gyro_uncertainty[0]).all()
     np.testing.assert_allclose(after.table.gyro_offset[10], 0.0, atol=5 * 2e-5)
-
-
-def test_uncertainty_of_g_sensitivity_enters_the_table():
-    rests = rests_on_faces(np.random.default_rng(5), FACES[4:5], felt=KNOWN)
-    own = np.zeros((21, 21))
-    own[12:, 12:] = np.eye(9) * 1e-5**2
-    doubtful = replace(CALIBRATION.gyro, covariance=own, parameters=(*NAIVE.gyro.parameters, *G_NAMES))
-    sure, poor = (
-        fit_static(rests, nodes=THREE, calibration=replace(CALIBRATION, gyro=model)).table.gyro_uncertainty
-        for model in (replace(doubtful, covariance=np.zeros((21, 21))), doubtful)
-    )
-    added = np.sqrt(poor**2 - sure**2)
-    np.testing.assert_allclose(
-        added, np.tile(9.81e-5 * np.linalg.norm(doubtful.forward_matrix, axis=1), (3, 1)), rtol=1e-3
-    )

@@ -141,15 +141,6 @@ def test_nodes_beyond_the_soaks_are_marked_and_less_certain():
     assert own[-1] > 2.0 * own[NODES == 40.0][0]
 
 
-def test_unknown_variances_come_from_the_scatter_about_the_lines():
-    model = device(**STRAIGHT)
-    steps = steps_of(model, SOAKS, noise_dps=0.01)
-    fit, _ = scale_of(model, replace(steps, gyro_variance=np.full_like(steps.gyro_variance, np.nan)))
-    relative = fit.drift.gyro_uncertainty[:, 0, 0] / fit.drift.gyro_matrix[:, 0, 0]
-    # 0.01 deg/s over 18 rates of 54 deg/s rms
-    assert 0.2 < np.median(relative) / (0.01 / 54.0 / np.sqrt(18.0)) < 2.0
-
-
 # ---- dynamic drift
 
 
@@ -197,37 +188,12 @@ def test_axis_without_a_turn_has_no_dynamic_uncertainty():
     assert any("y" in reason and "dynamic drift" in reason.lower() for reason in fit.verdict.reasons)
 
 
-def test_noise_of_another_sensor_enters_by_the_matrix():
-    # Sensor x leans 30 deg to z, so that the rate about x takes tan 30 deg of z's reading and that about z takes none of x's.
-    lean = np.radians(30.0)
-    axes = np.array([[np.cos(lean), 0.0, np.sin(lean)], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
-    model = device(**BENT)
-    model = replace(model, gyro=replace(model.gyro, scale=replace(model.gyro.scale, axes=axes)))
-    steps = steps_of(model)
-    sigma = np.array([1e-6, 1e-6, 1e-2]) * true_calibration(model).gyro.scale_factor  # 1e-2 rad/s
-    fit = dynamic_of(model, replace(steps, gyro_variance=np.tile(sigma**2, (len(steps), 1))))
-    known = ~fit.drift.extrapolated & (fit.drift.turn_rate != 0.0)
-    x, _, z = np.moveaxis(fit.drift.uncertainty[known], -1, 0)
-    show("uncertainty of x over that of z", f"{np.median(x / z):.2f}", "tan 30 deg = 0.58")
-    assert np.tan(lean) / 1.5 < np.median(x / z) < np.tan(lean) * 1.5
-
-
 def test_too_few_soaks_are_refused():
     model = device(**BENT)
     with pytest.raises(NotObservable, match="three soaks"):
         dynamic_of(model, steps_of(model, np.array([25.0, 45.0])))
     with pytest.raises(NotObservable, match="got 1"):
         scale_of(model, steps_of(model, np.array([25.0])))
-
-
-def test_the_dynamic_table_spans_what_the_matrix_table_spans():
-    model = device()
-    steps = steps_of(model, TEMPS[1:-1], noise_dps=0.008)
-    scale = scale_of(model, steps)[0].drift
-    dynamic = dynamic_of(model, steps, (18.0, 75.0), scale).drift
-    assert np.array_equal(dynamic.temp_c, [18.0, *np.arange(20.0, 71.0, 5.0), 75.0])
-    assert dynamic.extrapolated[[0, -1]].all()
-    assert scale.gyro_extrapolated[[0, -1]].all()
 
 
 @pytest.mark.parametrize(

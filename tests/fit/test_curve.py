@@ -5,8 +5,8 @@ import pytest
 
 from testkit.cohorts import share_limits
 from testkit.data import show
-from undrift.errors import InputError, NotObservable
-from undrift.fit.curve import DEPARTURE_OF_UNIT, Curve, bending, fit_curve, not_a_knot
+from undrift.errors import NotObservable
+from undrift.fit.curve import Curve, fit_curve, not_a_knot
 
 NODES = np.linspace(18.0, 75.0, 115)
 
@@ -22,13 +22,6 @@ def test_not_a_knot_returns_a_cubic_exactly():
     np.testing.assert_allclose(spline.value[:, 0], 1e-4 * (NODES - 40.0) ** 3 - 0.02 * NODES, atol=1e-10)
     at_points = not_a_knot(temp, cubic[:, None], np.full((5, 1), 4.0), temp)
     np.testing.assert_allclose(at_points.covariance[0], 4.0 * np.eye(5), atol=1e-10)
-
-
-def test_not_a_knot_refuses_one_set_point_and_a_wrong_order():
-    with pytest.raises(NotObservable):
-        not_a_knot(np.array([20.0]), np.zeros((1, 3)), np.zeros((1, 3)), NODES)
-    with pytest.raises(InputError):
-        not_a_knot(np.array([30.0, 20.0]), np.zeros((2, 3)), np.zeros((2, 3)), NODES)
 
 
 def drawn_curve(rng, regressors=0):
@@ -56,19 +49,6 @@ def test_curve_is_conditioned_as_any_gaussian(regressors):
         gain = prior[:7, 7:] @ np.linalg.inv(rows)
         np.testing.assert_allclose(at.value[:, k], gain @ curve.value[:, k], atol=3e-3)
         np.testing.assert_allclose(at.covariance[k], prior[:7, :7] - gain @ prior[7:, :7], atol=3e-3)
-
-
-def test_covariance_of_bends_is_the_integral_of_two_kernels():
-    at = np.array([-0.7, -0.2, 0.1, 0.5, 0.9])
-    for s, row in zip(at, bending(at, at), strict=True):
-        for t, covariance in zip(at, row, strict=True):
-            u = np.linspace(0.0, min(abs(s), abs(t)), 2001) if s * t > 0.0 else np.zeros(2)
-            assert covariance == pytest.approx(np.trapezoid((abs(s) - u) * (abs(t) - u), u), abs=1e-7)
-    x = np.linspace(-0.5, 0.5, 401)
-    basis = np.vander(x, 3)
-    residual = np.eye(len(x)) - basis @ np.linalg.pinv(basis)
-    departure = np.sqrt(np.diag(residual @ bending(x, x) @ residual).mean())
-    assert departure == pytest.approx(DEPARTURE_OF_UNIT, rel=0.02)
 
 
 def test_uncertainty_grows_beyond_the_data_and_holds_a_parabola():

@@ -6,7 +6,7 @@ import pytest
 from undrift.calibration.sources import in_case
 from undrift.errors import NotObservable
 from undrift.fit.gls import solve_inverse
-from undrift.fit.triad import fit_paper, inverse_jacobian, offset_of, parameter_names
+from undrift.fit.triad import fit_paper, parameter_names
 from undrift.model import MATRIX_NAMES, OFFSET_NAMES
 
 RNG = np.random.default_rng(11)
@@ -26,29 +26,6 @@ def test_fit_paper_refuses_readings_that_miss_an_axis():
     flat = INPUTS * np.array([1.0, 1.0, 0.0])
     with pytest.raises(NotObservable, match="rank 2 from 30"):
         fit_paper(flat, flat, solve_inverse(INPUTS, INPUTS, None, np.eye(3), {"noise": np.ones(90)}), **NAMES)
-
-
-def test_the_jacobian_of_the_inverse_is_its_derivative():
-    matrix = np.array([[2.0, 0.7, -0.4], [-0.3, 1.0, 0.5], [0.6, -0.2, 3.0]])  # far from symmetric
-    jacobian = inverse_jacobian(np.linalg.inv(matrix))
-    for k in range(9):
-        step = np.zeros(9)
-        step[k] = 1e-6
-        ends = [np.linalg.inv(matrix + sign * step.reshape(3, 3)).reshape(-1) for sign in (1.0, -1.0)]
-        np.testing.assert_allclose(jacobian[:, k], (ends[0] - ends[1]) / 2e-6, rtol=0, atol=1e-9)
-
-
-def test_offset_of_a_constant_agrees_with_finite_differences() -> None:
-    matrix, constant, step = FORWARD, np.array([0.5, -1.0, 2.0]), 1e-6
-    offset, jacobian = offset_of(matrix, constant, 12)
-    np.testing.assert_allclose(matrix @ offset, constant, atol=1e-12)
-    for place in range(12):
-        moved = np.zeros(12)
-        moved[place] = step
-        high, low = (
-            offset_of(matrix + s * moved[:9].reshape(3, 3), constant + s * moved[9:], 12)[0] for s in (1.0, -1.0)
-        )
-        np.testing.assert_allclose(jacobian[9:12, place], (high - low) / (2.0 * step), atol=1e-8)
 
 
 def test_covariance_without_an_offset_is_the_scatter():

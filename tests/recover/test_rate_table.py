@@ -24,12 +24,10 @@ from testkit.quiet import without_noise
 from undrift.calibration import sources
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.rate_table import fit_rate_table
-from undrift.calibration.settings import Mode
-from undrift.calibration.table import DwellMeans, dwell_means
+from undrift.calibration.table import DwellMeans
 from undrift.fit.priors import G_SENSITIVITY, GYRO_FLICKER
 from undrift.fit.triad import TriadFit
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.bench import BenchSettings, bench_motion
 from undrift.sim.motion.motion import unit_vector
@@ -256,45 +254,9 @@ def steady(walk: float = 0.0, scatter: float = 1.0) -> DwellMeans:
     return dwells.with_rests(reading[n:], noise=sigma[n:], span=spans(p)[n:], force=p.force)
 
 
-def dwells_of(means: DwellMeans) -> DwellMeans:
-    """Return the dwells without the rests."""
-    n = plan().dwells
-    parts = {name: getattr(means, name)[:n] for name in ("reading", "turn_rate", "axis", "noise", "up", "span")}
-    return replace(means, force=None, **parts)
-
-
-def test_without_rests_dwells_alone_leave_gravity_out() -> None:
-    means = steady()
-    fit = fit_rate_table(dwells_of(replace(means, reading=means.reading + 1e-3 * means.force)))
-    assert fit.model.g_sensitivity is None
-    assert fit.model.count == 3 * plan().dwells
-
-
 def test_rests_on_one_face_leave_the_g_sensitivity_at_its_prior() -> None:
     means = steady()
     up = np.array([0.0, 0.0, STANDARD_GRAVITY])  # dwells too: as if the device never turned over
     fit = fit_rate_table(replace(means, force=np.tile(up, (len(means.axis), 1))))
     sigma = fit.model.standard_uncertainty[12:].reshape(3, 3)
     np.testing.assert_allclose(sigma[:, :2], G_SENSITIVITY, rtol=1e-6)
-
-
-# Dwells only
-
-DWELLS = bench_motion(
-    "rate_table",
-    rng=np.random.default_rng(0),
-    settings=BenchSettings(sample_rate_hz=20.0, ramp_s=0.2, dwell_s=1.35, turn_rates=(0.3, 0.9, 1.5)),
-)
-
-
-@pytest.mark.parametrize("mode", ["paper", "affine"])
-def test_dwells_give_back_the_device_without_noise(mode: Mode) -> None:
-    rng = np.random.default_rng(1)
-    device = without_noise(white_device(rng))
-    if mode == "paper":
-        device = replace(device, gyro=replace(device.gyro, offset=None))
-    record = simulate_device(device, DWELLS, rng=rng).record
-    model = fit_rate_table(dwell_means((record,), DWELLS.turns), mode=mode).model
-    # The spline solves normal equations of condition 1e6: 1e-10 of the reading.
-    np.testing.assert_allclose(model.forward_matrix, device.gyro.forward_matrix, atol=1e-8 * 940)
-    np.testing.assert_allclose(model.offset, device.gyro.raw_offset, atol=1e-6)

@@ -11,8 +11,7 @@ from testkit.cohorts import COHORTS
 from testkit.cramer_rao import Array, Tally, carried, white_device
 from testkit.data import show
 from testkit.twins import rotation_matrices
-from undrift.calibration.reference import fit_reference
-from undrift.calibration.reference_windows import STRIDE_S
+from undrift.calibration.reference import STRIDE_S, fit_reference
 from undrift.model import TriadModel
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import simulate_device

@@ -8,7 +8,7 @@ Out: a ``Calibration`` with a TriadModel for each triad, the rounding of the ADC
     calibrate                    choice among the fits that a session allows
     six_face, moves              accelerometers against gravity, on faces or in free poses (norm: |M (u - o)| = g)
     rate_table, known_rotation   gyroscopes against steady rates and known angles (table: true axes and rates of a dwell)
-    reference, reference_accel   both triads against the poses of a reference (reference_windows: equations)
+    reference, reference_accel   both triads against the poses of a reference
     in_motion, magnetometer      both triads and the magnetometer in free motion
     sources, codes               drift within a session, rounding to codes
     noise                        Allan variance of a device at rest

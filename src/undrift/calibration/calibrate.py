@@ -33,7 +33,7 @@ from undrift.calibration.reference_accel import fit_reference_accel, turned_like
 from undrift.calibration.session import Observed, at_one_temperature, check_alike, observe
 from undrift.calibration.settings import AccelFit, CalibrateSettings, GyroFit, Mode
 from undrift.calibration.six_face import calibrate_faces
-from undrift.calibration.sources import Kind, creep_of, name_stated_sources
+from undrift.calibration.sources import Kind, creep_of, name_stated_sources, temperature_span
 from undrift.calibration.triads import check_triads
 from undrift.errors import CalibrationError, InputError, NotObservable, check_choice, check_type
 from undrift.findings import Finding, Level, finding
@@ -72,7 +72,7 @@ def calibrate_rest(observed: Observed, mode: Mode, accel: TriadFit | None) -> Tr
     nominal = f"the nominal scale is used with +- {100.0 * SCALE_FACTOR:g} % (1 sigma)."
     return triad_fit(
         (means[~np.isnan(means).any(axis=1)] - offset) * factor,
-        Verdict.of(_no_scale(observed, accel, "Gyroscope scale", why=nominal), *creep.findings()),
+        Verdict.of(_no_scale(observed, accel, "Gyroscope scale", why=nominal)),
         method="rest",
         unit_in=unit,
         unit_out="rad/s",
@@ -247,6 +247,7 @@ def _doubts(observed: Observed, accel: TriadFit | None, gyro: TriadFit | None) -
             record = "Record rests on six faces with accelerometers in the same session."
             yield _not_observable("g-sensitivity of the gyroscopes", "info", record=record)
     yield from observed.findings
+    yield from temperature_span(observed) if accel or gyro else ()
     if accel is not None:
         free_poses = _method(accel) == "multi-position"
         if free_poses:

@@ -387,7 +387,6 @@ def calibrate_turns(observed: Observed, mode: Mode, accel: TriadFit | None) -> T
     # a session may state rests on faces only, but rests beside the turns give moves
     rests = (*observed.stills, *observed.unused_stills((*observed.stills, *turns)))
     rows = rotation_rows(records, rests, turns, matrix=matrix, offset=offset)
-    creep = creep_of(observed, rows.pieces, "gyro")
     moves: Callable[[TriadParameters], tuple[TriadParameters, FloatArray]] | None = None
     if model is not None:
         used = [piece for piece in rows.pieces if isinstance(piece, Still)]
@@ -401,11 +400,11 @@ def calibrate_turns(observed: Observed, mode: Mode, accel: TriadFit | None) -> T
         angle_uncertainty=settings.angle_uncertainty_deg * RADIAN_PER_DEGREE,
         axis_uncertainty=settings.axis_uncertainty_deg * RADIAN_PER_DEGREE,
         cross_axis_prior=settings.cross_axis_prior,
-        creep=creep,
+        creep=creep_of(observed, rows.pieces, "gyro"),
         moves=moves,
     )
     if model is not None:
         # Full turns bring gravity back for any axes. Moves reveal gyroscope axes that differ from those of the accelerometer.
         for record in records:
             findings += _check_by_gravity(record, fit.model, model)
-    return replace(fit, verdict=fit.verdict.also(Verdict.of(*findings, *creep.findings())))
+    return replace(fit, verdict=fit.verdict.also(Verdict.of(*findings)))

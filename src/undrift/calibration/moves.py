@@ -18,7 +18,6 @@ accelerometer. The hand adds an excess variance in rests, and another in moves.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -499,8 +498,7 @@ def calibrate_poses(observed: Observed, mode: Mode = "affine", accel: TriadFit |
     """Fit the accelerometer of a session to its free poses."""
     session, prior, stills = observed.session, observed.settings.cross_axis_prior, observed.sorted_stills
     creep = creep_of(observed, stills, "accel")
-    fit = fit_poses(session.records, stills, gravity=session.gravity_m_s2, cross_axis_prior=prior, creep=creep)
-    return replace(fit, verdict=fit.verdict.also(Verdict.of(*creep.findings())))
+    return fit_poses(session.records, stills, gravity=session.gravity_m_s2, cross_axis_prior=prior, creep=creep)
 
 
 def calibrate_moves(observed: Observed, mode: Mode, accel: TriadFit | None) -> TriadFit:
@@ -509,5 +507,4 @@ def calibrate_moves(observed: Observed, mode: Mode, accel: TriadFit | None) -> T
         raise NotObservable("multi-position gyro: moves need accelerometer readings. Map the accel columns.")
     stills = observed.sorted_stills
     creep = creep_of(observed, stills, "accel"), creep_of(observed, stills, "gyro")
-    fit = fit_moves(observed.session.records, stills, (accel or calibrate_poses(observed)).model, creep=creep)
-    return replace(fit, verdict=fit.verdict.also(Verdict.of(*creep[1].findings())))
+    return fit_moves(observed.session.records, stills, (accel or calibrate_poses(observed)).model, creep=creep)

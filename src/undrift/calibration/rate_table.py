@@ -307,16 +307,15 @@ def calibrate_rates(observed: Observed, mode: Mode, accel: TriadFit | None) -> T
             offset = np.asarray(dwells.reading.mean(axis=0))  # both signs of every rate cancel
             variance = np.full(3, np.nan) if dwells.noise is None else (dwells.noise**2).mean(axis=0) / len(dwells.axis)
     pieces: list[Still | Turn] = [*turns, *(() if mode == "paper" else rests)]
-    creep = creep_of(observed, pieces, "gyro")
-    findings = (*creep.findings(), *_partial_turns(session.records, turns, settings.settle_s))
+    findings = [*_partial_turns(session.records, turns, settings.settle_s)]
     if len(turn_axes) < 3:
-        findings = (*findings, axes_missing(turn_axes, dwells.unit, settings.cross_axis_prior))
+        findings.append(axes_missing(turn_axes, dwells.unit, settings.cross_axis_prior))
     fit = fit_rate_table(
         with_rests if offset is None else replace(dwells, reading=dwells.reading - offset),
         mode=mode,
         latitude_deg=settings.latitude_deg,
         cross_axis_prior=settings.cross_axis_prior,
-        creep=creep,
+        creep=creep_of(observed, pieces, "gyro"),
     )
     fit = fit if offset is None else with_offset(fit, offset, variance)
     return replace(fit, verdict=fit.verdict.also(Verdict.of(*findings)))

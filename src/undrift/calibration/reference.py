@@ -1,15 +1,19 @@
 """Calibrate gyroscopes against an orientation reference: optics, a robot arm, or other poses of the same body.
 
-    w = M (u + c sign(u) - o) - m(t) d            rate w of the mean body, readings u, m = 1 while the device turns
+    w   = M (u + c (sign u - s) - o) - m(t) d       rate w of the mean body, readings u, m = 1 while the device turns
+    R_w = exp(w dt) ... exp(w dt)                   product over the samples of a window between two poses R_i and R_j
+    P   = T' R_i' R_j T                             the same rotation from the reference
+    y   = log(R_w' P) = J (dM, dd, dc) + (P' - 1) dt + errors of the poses and readings
 
-Poses are never differentiated. Readings are integrated over windows between two poses and compared with the rotation of the
-reference (``reference_windows``). Windows start at 2 s, where the linear equations are safe for a raw device, and double up to 16
-s. Errors of the poses do not grow with the window, but the rotation from errors of M or o does.
+Poses are used at their own times, never interpolated and never differentiated. J is a running sum of R u dt along the recording.
+Windows start at 2 s, where the linear equations are safe for a raw device, and double up to 16 s. Errors of the poses do not grow
+with the window, but the rotation from errors of M or o does.
 
-All recordings of a device are fitted together. The offset at rest is the mean reading at rest of each recording. Offsets in motion
-differ from it by 0.01 to 0.05 deg/s (rounding, vibration, g-sensitivity), so a common change d applies to all recordings while the
-device turns. A recording without a rest has the mean offset of the others plus its own change. Each recording has its own small
-rotation T between the mean body and its body, because markers are attached again. ``mounting`` "one" omits T.
+All recordings of a device are fitted together. The offset at rest o is the mean reading at rest of each recording, and s its mean
+sign there. Offsets in motion differ from it by 0.01 to 0.05 deg/s (rounding, vibration, g-sensitivity): a common change d applies
+to all recordings while the device turns. A recording without a rest has the mean offset of the others plus its own change. Each
+recording has its own small rotation T between the mean body and its body, because markers are attached again. ``mounting`` "one"
+omits T.
 
 If the readings have a physical unit, every element of M has a prior about the rotation that maps the readings to the body. Elements
 that the motion does not determine keep the prior, and the verdict names their axes. If the rounding of the codes can be identified,
@@ -25,12 +29,19 @@ import numpy as np
 import undrift.sync as sync
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.calibration.plausibility import without_saturated
-from undrift.calibration.reference_windows import STRIDE_S, Recording, Solution, Windows, solve, window_equations
 from undrift.calibration.sources import uncertain
 from undrift.errors import AlignmentError, Implausible, InputError, NotObservable, check_choice
 from undrift.findings import Finding, finding, told_apart
-from undrift.fit.triad import TriadFit, triad_fit
-from undrift.frames import quaternion_of, quaternion_product
+from undrift.fit.gls import fit_huber, student_factor
+from undrift.fit.triad import TriadFit, scaled_condition, triad_fit
+from undrift.frames import (
+    quaternion_conjugate,
+    quaternion_of,
+    quaternion_product,
+    rotate,
+    rotation,
+    rotation_vector,
+)
 from undrift.model import CODE_NAMES, MATRIX_NAMES, MOVING_NAMES, OFFSET_NAMES, AdcModel, TriadModel, Verdict
 from undrift.record import Mounting, Record, Reference
 from undrift.segments import find_still, find_turning, unpadded
@@ -103,6 +114,22 @@ def align(record: Record, reference: Reference, longest_lag_s: float = sync.LONG
     )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Recording:
+    """One recording, prepared for the fit."""
+
+    aligned: Aligned
+    gyro: FloatArray  # (N, 3), readings, raw unit, with zeros in gaps
+    gaps: IntArray  # (N,), number of gaps since the start
+    moving: BoolArray  # (N,), True between the first and the last rest
+    turning: FloatArray  # (N,), m
+    rest: FloatArray  # (3,), mean reading at rest before the motion, raw unit, or NaN without a rest
+    rest_sign: FloatArray  # (3,), mean sign of the readings there
+    rest_uncertainty: FloatArray  # (3,), standard uncertainty of the mean reading, raw unit
+    pose_time: FloatArray  # (L,), times of the poses at which windows start and end, s, clock of the record
+    q_nb: FloatArray  # (L, 4), these poses, with NaN in gaps
+
+
 def recording_of(aligned: Aligned, *, turning: bool) -> Recording:
     """Return a recording with its mean at rest and the poses at the ends of windows."""
     gyro, time, span, poses, lag = aligned.gyro, aligned.record.time, aligned.span, aligned.reference, aligned.lag
@@ -117,10 +144,9 @@ def recording_of(aligned: Aligned, *, turning: bool) -> Recording:
     inside = (pose_time >= max(span.start_s - MARGIN_S, time[0])) & (pose_time <= min(span.stop_s + MARGIN_S, time[-1]))
     ends = np.flatnonzero(inside)[:: max(1, round(STRIDE_S * poses.sample_rate_hz))]
     return Recording(
-        time=time,
+        aligned=aligned,
         gyro=np.where(gap[:, None], 0.0, gyro),
         gaps=np.cumsum(gap | (np.diff(time, prepend=time[0]) > sync.LONGEST_STEP * step)),
-        lag=lag,
         moving=(time >= span.start_s) & (time < span.stop_s) & ~gap,
         turning=turns,
         rest=rest,
@@ -128,7 +154,6 @@ def recording_of(aligned: Aligned, *, turning: bool) -> Recording:
         rest_uncertainty=uncertainty,
         pose_time=np.ascontiguousarray(pose_time[ends]),
         q_nb=np.ascontiguousarray(poses.q_nb[ends]),
-        findings=aligned.findings,
     )
 
 
@@ -145,6 +170,137 @@ def rest_reading(aligned: Aligned) -> tuple[FloatArray, FloatArray, FloatArray]:
         return np.full(3, np.nan), np.zeros(3), np.zeros(3)
     means = np.array([block.mean(axis=0) for block in np.array_split(readings, count)])
     return readings.mean(axis=0), means.std(axis=0, ddof=1) / np.sqrt(count), np.sign(readings).mean(axis=0)
+
+
+# ---- equations of a gyroscope over windows between two poses
+
+STRIDE_S = 0.5  # distance between the starts of neighbouring windows
+MIN_BLOCKS = 8  # smallest number of blocks of two windows for the jackknife, otherwise blocks of one window
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Windows:
+    """Equations of a recording."""
+
+    turn: FloatArray  # (n, 3), y, rad
+    design: FloatArray  # (n, 3, 18), J and P' - 1: M row by row, d, c, rotation of the mounting
+    first: IntArray  # (n,), number of the pose at which each window starts
+
+
+def window_equations(
+    recording: Recording, values: FloatArray, offset: FloatArray, mounting: FloatArray, reach: int
+) -> Windows:
+    """Return the equations of all windows that span ``reach`` strides, at ``values`` (18,) of M, d and c, at o and T (4,)."""
+    from undrift.kernels.rotation import accumulate
+
+    matrix, moving, codes = values[:9].reshape(3, 3), values[9:12], values[12:15]
+    time = np.ascontiguousarray(recording.aligned.record.time)
+    sign, turning = np.sign(recording.gyro) - recording.rest_sign, recording.turning[:, None]
+    u = recording.gyro + sign * codes - offset
+    regressors = np.concatenate((u, turning, sign), axis=1)
+    q, total = np.empty((len(recording.pose_time), 4)), np.zeros((len(recording.pose_time), 3, 3, 7))
+    accumulate(
+        np.ascontiguousarray(u @ matrix.T - turning * moving).reshape(-1),
+        np.ascontiguousarray(regressors).reshape(-1),
+        time,
+        recording.pose_time,
+        q.reshape(-1),
+        total.reshape(-1),
+    )
+    valid = np.isfinite(recording.q_nb[:, 0])
+    gaps = recording.gaps[np.searchsorted(time, recording.pose_time).clip(0, len(time) - 1)]
+    first = np.flatnonzero(valid[:-reach] & valid[reach:] & (gaps[:-reach] == gaps[reach:]))
+    last = first + reach
+    body = quaternion_product(recording.q_nb, mounting)
+    reading_turn = quaternion_product(quaternion_conjugate(q[first]), q[last])
+    pose_turn = quaternion_product(quaternion_conjugate(body[first]), body[last])
+    inverse = quaternion_conjugate(q[last])[:, None, None, :]
+    gain = np.moveaxis(rotate(inverse, np.moveaxis(total[last] - total[first], 1, -1)), -1, 1)  # (n, 3, 3, channel)
+    matrix_slopes = gain[..., :3].reshape(len(first), 3, 9)
+    code_slopes = np.einsum("narj,rj->naj", gain[..., 4:], matrix)
+    mounting_slopes = np.swapaxes(rotation(pose_turn).as_matrix(), 1, 2) - np.eye(3)
+    return Windows(
+        turn=rotation_vector(quaternion_product(quaternion_conjugate(reading_turn), pose_turn)),
+        design=np.concatenate((matrix_slopes, -gain[..., 3], code_slopes, mounting_slopes), axis=2),
+        first=first,
+    )
+
+
+# ---- robust least squares of overlapping windows
+#
+# Huber's estimate by reweighting. Neighbouring windows share readings and poses, so the covariance is a jackknife covariance: to
+# first order, leaving a block b of windows out moves the estimate by
+#
+# x_b = (N - N_b)^-1 A_b' p_b            N = A' D A + K, bounded residuals p, D = 1 within Huber's bound else 0, prior K
+#
+# and cov x is the sum of x_b x_b' over B blocks, widened by Student's factor for B - 1 degrees of freedom. A block is two
+# windows long, so its errors are independent of those two blocks later.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Solution:
+    """One linear solution."""
+
+    step: FloatArray  # (P,), change of the parameters
+    covariance: FloatArray  # (P, P)
+    residuals: FloatArray  # (n, 3), rad
+    scale: float  # robust standard deviation of the residuals, rad
+    condition: float  # condition number of the design with unit columns
+
+
+def solve_windows(
+    windows: Sequence[Windows],
+    design: FloatArray,
+    prior_step: FloatArray,
+    spread: FloatArray,
+    *,
+    reach: int,
+    scale: float,
+) -> Solution:
+    """Solve the window equations for the columns of ``design`` (n, 3, P).
+
+    The prior has the mean step ``prior_step`` (P,) and the standard deviation ``spread`` (P,), infinite without a prior. Windows
+    overlap ``reach`` times, so a prior row is sigma sqrt(reach) / spread, for residuals of about ``scale``, rad.
+    """
+    a, y = design.reshape(-1, len(prior_step)), np.concatenate([samples.turn for samples in windows]).reshape(-1)
+    pull = scale * np.sqrt(reach) / spread
+    with_prior = np.vstack((a, np.diag(pull)))
+    condition = full_rank(with_prior)
+    step, weight, scale = fit_huber(with_prior, np.append(y, pull * prior_step), prior=len(pull))
+    residuals, weight = y - a @ step, weight[: len(y)]
+    inside = weight == 1.0
+    normal = (a.T * inside) @ a + np.diag(pull**2)
+    prior_gain = np.linalg.solve(normal, np.diag(pull**2 * np.where(pull > 0.0, spread, 0.0)))
+    covariance, blocks = prior_gain @ prior_gain.T, np.repeat(_blocks(windows, reach), 3)
+    for block in range(blocks.max() + 1):
+        rows = blocks == block
+        reduced_normal = normal - (a[rows].T * inside[rows]) @ a[rows]
+        change = np.linalg.solve(reduced_normal, a[rows].T @ (weight * residuals)[rows])
+        covariance += student_factor(blocks.max()) * np.outer(change, change)
+    return Solution(
+        step=step, covariance=covariance, residuals=residuals.reshape(-1, 3), scale=scale, condition=condition
+    )
+
+
+def _blocks(windows: Sequence[Windows], reach: int) -> IntArray:
+    """Return the block that each window belongs to. Blocks are numbered through all recordings."""
+    for length in (2 * reach, reach):
+        place = np.concatenate([1_000_000 * number + samples.first // length for number, samples in enumerate(windows)])
+        blocks: IntArray = np.unique(place, return_inverse=True)[1]
+        if blocks.max() + 1 >= MIN_BLOCKS:
+            break
+    return blocks
+
+
+def full_rank(design: FloatArray, what: str = "reference") -> float:
+    """Return the condition number of a design (E, P) with unit columns. Raise if the motion does not determine all parameters."""
+    rank, condition = scaled_condition(design)
+    if rank < design.shape[1]:
+        raise NotObservable(
+            f"{what}: the motion determines {rank} of {design.shape[1]} parameters. Turn the device about all three axes.",
+            rank=rank,
+        )
+    return condition
 
 
 # ---- fit
@@ -277,10 +433,10 @@ def fit_aligned(
             break
         free = parameters.free
         prior_step, spread = (parameters.expected - parameters.value)[free], parameters.spread[free]
-        solution, window_s = solve(windows, design, prior_step, spread, reach=reach, scale=scale), length_s
+        solution, window_s = solve_windows(windows, design, prior_step, spread, reach=reach, scale=scale), length_s
         parameters, scale = parameters.moved(solution.step), solution.scale
     if solution is None:
-        causes = " ".join(item.text for recording in recordings for item in recording.findings)
+        causes = " ".join(item.text for recording in recordings for item in recording.aligned.findings)
         raise NotObservable(
             f"reference: {unknown} parameters need more than {unknown // 3} windows of {length_s:g} s that do not overlap, "
             f"got {count}. {causes} Record longer motion.",
@@ -300,7 +456,7 @@ def _start(
     from scipy.linalg import null_space
     from scipy.spatial.transform import Rotation
 
-    matrices = np.array([r.lag.matrix for r in recordings])
+    matrices = np.array([r.aligned.lag.matrix for r in recordings])
     power = np.array([np.cov(r.gyro[r.moving].T) for r in recordings])  # (R, 3, 3), covariance of the readings
     common, eigenvalues = matrices @ power, np.linalg.eigvalsh(power.sum(axis=0))  # covariance of rates and readings
     if not eigenvalues[1] > SECOND_AXIS**2 * eigenvalues[2]:
@@ -319,7 +475,9 @@ def _start(
     rest = np.array([r.rest for r in recordings])
     rested = np.isfinite(rest[:, 0])
     offsets = np.where(rested[:, None], rest, rest[rested].mean(axis=0) if rested.any() else 0.0)
-    moving = [-b @ r.lag.constant - matrix @ o for b, r, o in zip(inverse_mountings, recordings, offsets, strict=True)]
+    moving = [
+        -b @ r.aligned.lag.constant - matrix @ o for b, r, o in zip(inverse_mountings, recordings, offsets, strict=True)
+    ]
     step: FloatArray = np.zeros(3)
     half = 0.0
     if adc is not None and adc.gyro_lsb is not None:
@@ -420,14 +578,14 @@ def _result(
     )
     findings = [
         *_findings(triad.model, parameters.expected[:9].reshape(3, 3), [r.rest for r in rested]),
-        *(item for r in recordings for item in r.findings),
+        *(item for r in recordings for item in r.aligned.findings),
     ]
     return ReferenceFit(
         triad=replace(triad, verdict=Verdict.of(*findings)),
         motion_offset=motion_offset,
         rest_offsets=np.array([r.rest for r in recordings]),
-        lags_s=np.array([r.lag.seconds for r in recordings]),
-        lag_uncertainties_s=np.array([r.lag.standard_uncertainty for r in recordings]),
+        lags_s=np.array([r.aligned.lag.seconds for r in recordings]),
+        lag_uncertainties_s=np.array([r.aligned.lag.standard_uncertainty for r in recordings]),
         window_s=window_s,
         mountings=Rotation.from_quat(parameters.mountings, scalar_first=True).as_rotvec(),
     )

@@ -24,7 +24,7 @@ from undrift.errors import InputError, NotObservable
 from undrift.findings import Verdict
 from undrift.fit.gls import block_size, noise_of_means, solve_inverse
 from undrift.fit.priors import ACCEL_FLICKER, REFERENCE_LEVEL
-from undrift.fit.triad import TriadFit, first_matrix, fit_of, parameters_of, scaled_condition
+from undrift.fit.triad import TriadFit, first_matrix, fit_of, nominal_triad, parameters_of, scaled_condition
 from undrift.frames import rotation
 from undrift.model import TriadModel
 from undrift.record import Record, Reference, Session, Still
@@ -47,19 +47,8 @@ def turned_like(gyro: TriadModel, unit: str) -> TriadModel | None:
     if not is_physical(unit) or np.trace(turn) > 1.0 + 2.0 * np.cos(TURNED_ABOVE):
         return None
     factor = si_factor(unit, "accel")
-    return TriadModel(
-        method="nominal",
-        unit_in=unit,
-        unit_out="m/s2",
-        matrix=turn * factor,
-        offset=np.zeros(3),
-        covariance=np.diag([(NOMINAL_SCALE * factor) ** 2] * 9 + [(NOMINAL_OFFSET / factor) ** 2] * 3),
-        rms_residual=0.0,
-        count=0,
-        rank=0,
-        condition=1.0,
-        valid_range=(-np.inf, np.inf),
-    )
+    covariance = np.diag([(NOMINAL_SCALE * factor) ** 2] * 9 + [(NOMINAL_OFFSET / factor) ** 2] * 3)
+    return nominal_triad(unit, "accel", turn=turn, covariance=covariance)
 
 
 def fit_reference_accel(

@@ -73,7 +73,12 @@ def fit_six_face(poses: FaceMeans, *, gravity: float, mode: Mode = "affine") -> 
     tilt = gls.excess.get("level", 0.0) ** 0.5
     names: dict[str, Any] = {"method": f"six-face/{mode}", "unit_in": poses.unit, "unit_out": "m/s2"}
     findings = list[Finding]()
-    if poses.rounding is not None and poses.noise is not None:
+    if poses.noise is None:
+        too_short = (
+            "Rests on the faces are too short to estimate their noise: the scatter of the residuals is used instead."
+        )
+        findings.append(finding("six_face.short_faces", "warn", too_short, "Rest 6 s on each face."))
+    elif poses.rounding is not None:
         findings += limited_by_codes("accelerometer", poses.rounding**2, (poses.noise**2).mean(axis=0), poses.unit)
     if tilt > TILT_LIMIT:
         tilt_deg = tilt / RADIAN_PER_DEGREE
@@ -195,12 +200,6 @@ def calibrate_faces(observed: Observed, mode: Mode, accel: TriadFit | None = Non
         observed.session.records, stills, window_s=settings.window_s, polynomial_degree=settings.polynomial_degree
     )
     poses = replace(poses, creep=creep_of(observed, stills, "accel"), placement=placement)
-    findings = poses.creep.findings() if poses.creep else ()
-    if poses.noise is None:
-        too_short = (
-            "Rests on the faces are too short to estimate their noise: the scatter of the residuals is used instead."
-        )
-        findings = (*findings, finding("six_face.short_faces", "warn", too_short, "Rest 6 s on each face."))
     if paper:
         # The mean over the six faces, each counted once, is an estimate of the offset, because opposite faces cancel.
         faces, rows = np.array(poses.faces), solve_faces(poses, gravity, "paper")
@@ -212,7 +211,7 @@ def calibrate_faces(observed: Observed, mode: Mode, accel: TriadFit | None = Non
     check_own_scale(fit.model.scale_factor, poses.unit, "accel", "accelerometer")
     if offset is not None:
         fit = with_offset(fit, offset, variance)
-    return replace(fit, verdict=fit.verdict.also(Verdict.of(*findings)))
+    return fit
 
 
 def _placements(observed: Observed) -> tuple[tuple[Still, ...], IntArray]:

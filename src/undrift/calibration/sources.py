@@ -148,8 +148,6 @@ class Creep:
     warmth: FloatArray  # (P,), temperature of each piece minus the reference, K
     offset_per_k: float  # c_o, rad/s/K or m/s2/K
     scale_per_k: float  # c_s, relative, 1/K
-    span_k: float = 0.0  # temperature span of all pieces, K
-    limit_k: float = np.inf  # a larger span is a finding, K
 
     def columns(self, value: FloatArray, gain: float = 1.0) -> FloatArray:
         """Return C (P, 2) of a sensor, unit of the reading: offset and scale columns, one standard deviation each.
@@ -171,21 +169,34 @@ class Creep:
         columns = self.columns_in_case(value)
         return np.asarray(columns @ columns.T)
 
-    def findings(self) -> tuple[Finding, ...]:
-        """Return a finding if the span is above the limit."""
-        if self.span_k <= self.limit_k:
-            return ()
-        span = told_apart(self.span_k, ".1f", self.limit_k)
-        sentence = f"The temperature changed by {span} K within the session (limit {self.limit_k:g} K)."
-        return (finding("session.temperature", "warn", sentence, ONE_TEMPERATURE, span_k=self.span_k),)
-
 
 def creep_of(observed: Observed, pieces: Sequence[Still | Turn], kind: Kind) -> Creep:
     """Return the temperature of stills and turns of a session, and its effect on a sensor."""
     prior = observed.session.sensitivity
-    session_pieces: tuple[Still | Turn, ...] = (*observed.stills, *observed.session.turns) or tuple(pieces)
+    offset, scale = (
+        (prior.accel_offset_mg_per_k * 1e-3 * STANDARD_GRAVITY, prior.accel_scale_percent_per_k)
+        if kind == "accel"
+        else (prior.gyro_offset_dps_per_k * RADIAN_PER_DEGREE, prior.gyro_scale_percent_per_k)
+    )
+    return Creep(warmth=_warmth(observed, pieces), offset_per_k=offset, scale_per_k=0.01 * scale)
+
+
+def temperature_span(observed: Observed) -> tuple[Finding, ...]:
+    """Return a finding if the temperature of the stills and turns of a session changed by more than the limit."""
+    limit_k = observed.session.sensitivity.span_limit_k
+    span_k = float(np.ptp(_warmth(observed, (*observed.stills, *observed.session.turns))))
+    sentence = (
+        f"The temperature changed by {told_apart(span_k, '.1f', limit_k)} K within the session (limit {limit_k:g} K)."
+    )
+    return above("session.temperature", span_k, (limit_k, np.inf), sentence, ONE_TEMPERATURE, span_k=span_k)
+
+
+def _warmth(observed: Observed, pieces: Sequence[Still | Turn]) -> FloatArray:
+    """Return the temperature of pieces minus the mean temperature of the session, (P,), K."""
+    prior = observed.session.sensitivity
+    session_pieces: tuple[Still | Turn, ...] = (*observed.stills, *observed.session.turns)
     if not session_pieces:
-        return Creep(warmth=np.empty(0), offset_per_k=0.0, scale_per_k=0.0)
+        return np.zeros(len(pieces))
     all_pieces, count = (*session_pieces, *pieces), len(session_pieces)
     time, temps = middles(observed.session.records, all_pieces), piece_temperatures(observed.session, all_pieces)
     warmth: FloatArray = np.nan_to_num(temps - observed.mean_temperature())
@@ -198,18 +209,7 @@ def creep_of(observed: Observed, pieces: Sequence[Still | Turn], kind: Kind) -> 
     elif prior.thermometer_lag_s:
         course = np.polynomial.Polynomial.fit(time[:count], warmth[:count], min(2, count - 1)).deriv()
         warmth = warmth + prior.thermometer_lag_s * np.where(has_set_point, 0.0, course(time))
-    offset, scale = (
-        (prior.accel_offset_mg_per_k * 1e-3 * STANDARD_GRAVITY, prior.accel_scale_percent_per_k)
-        if kind == "accel"
-        else (prior.gyro_offset_dps_per_k * RADIAN_PER_DEGREE, prior.gyro_scale_percent_per_k)
-    )
-    return Creep(
-        warmth=warmth[count:],
-        offset_per_k=offset,
-        scale_per_k=0.01 * scale,
-        span_k=float(np.ptp(warmth[:count])),
-        limit_k=prior.span_limit_k,
-    )
+    return np.asarray(warmth[count:])
 
 
 def _thermometer_step(observed: Observed) -> float:

@@ -24,10 +24,11 @@ from undrift.calibration.table import dwell_means
 from undrift.errors import InputError, NotObservable
 from undrift.findings import Finding, Level, finding
 from undrift.fit.gls import block_size
-from undrift.model import AXES, Calibration, TriadModel, Verdict
+from undrift.fit.triad import nominal_triad
+from undrift.model import AXES, Calibration, Verdict
 from undrift.record import Record, Session, Still
 from undrift.segments import find_still
-from undrift.units import RADIAN_PER_DEGREE, SI_UNIT, STANDARD_GRAVITY, Quantity, is_physical, si_factor
+from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -404,23 +405,6 @@ def nominal_models(sessions: Sequence[Session]) -> Calibration:
             )
         ),
         file_map=first.file_map,
-    )
-
-
-def nominal_triad(unit: str, quantity: Quantity) -> TriadModel:
-    """Return a model with the nominal scale of a unit."""
-    return TriadModel(
-        method="nominal",
-        unit_in=unit,
-        unit_out=SI_UNIT[quantity],
-        matrix=np.eye(3) * si_factor(unit, quantity),
-        offset=np.zeros(3),
-        covariance=np.zeros((12, 12)),
-        rms_residual=0.0,
-        count=0,
-        rank=0,
-        condition=1.0,
-        valid_range=(-np.inf, np.inf),
     )
 
 

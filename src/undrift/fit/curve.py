@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.errors import InputError, NotObservable
+from undrift.errors import NotObservable
 from undrift.fit.gls import student_factor
 
 BOW_SPAN_C = 10.0  # over this span the slope changes by as much as its mean: prior of the parabola [assumed]
@@ -237,13 +237,6 @@ def not_a_knot(temp_c: FloatArray, value: FloatArray, variance: FloatArray, node
     """Interpolate values (n, k) at temperatures (n,) to nodes (m,) with a cubic spline with not-a-knot ends."""
     from scipy.interpolate import CubicSpline
 
-    if len(temp_c) < 2:
-        raise NotObservable(
-            f"spline: expected two set-points or more, got {len(temp_c)}. Record at another temperature.",
-            count=len(temp_c),
-        )
-    if (np.diff(temp_c) <= 0.0).any():
-        raise InputError("spline: set-points must increase. Sort them and merge equal set-points.")
     basis = np.asarray(CubicSpline(temp_c, np.eye(len(temp_c)), bc_type="not-a-knot")(nodes))
     covariance = np.einsum("mi,ik,ni->kmn", basis, variance, basis)
     return NodeValues(value=basis @ value, covariance=covariance)

@@ -15,6 +15,7 @@ from undrift.arrays import FloatArray
 from undrift.errors import NotObservable
 from undrift.fit.gls import GlsFit, carried
 from undrift.model import G_NAMES, MATRIX_NAMES, OFFSET_NAMES, Budget, TriadModel, Verdict
+from undrift.units import SI_UNIT, Quantity, si_factor
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -31,6 +32,25 @@ def triad_fit(residuals: FloatArray, verdict: Verdict = Verdict(), **of_model: A
     rms = float(np.sqrt((residuals**2).mean()))
     model = TriadModel(rms_residual=rms, count=residuals.size, **of_model)
     return TriadFit(model=model, residuals=residuals, verdict=verdict)
+
+
+def nominal_triad(
+    unit: str, quantity: Quantity, *, turn: FloatArray | None = None, covariance: FloatArray | None = None
+) -> TriadModel:
+    """Return a model with the nominal scale of a unit, turned by ``turn`` (3, 3), without an offset."""
+    return TriadModel(
+        method="nominal",
+        unit_in=unit,
+        unit_out=SI_UNIT[quantity],
+        matrix=si_factor(unit, quantity) * (np.eye(3) if turn is None else turn),
+        offset=np.zeros(3),
+        covariance=np.zeros((12, 12)) if covariance is None else covariance,
+        rms_residual=0.0,
+        count=0,
+        rank=0,
+        condition=1.0,
+        valid_range=(-np.inf, np.inf),
+    )
 
 
 # ---- from a fit of the inverse model to the model

@@ -22,8 +22,7 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, IntArray, runs
 from undrift.calibration.codes import restored_gyro
-from undrift.calibration.reference import MARGIN_S, Aligned, align, rest_reading
-from undrift.calibration.reference_windows import full_rank
+from undrift.calibration.reference import MARGIN_S, Aligned, align, full_rank, rest_reading
 from undrift.errors import InputError, NotObservable
 from undrift.fit.gls import fit_huber
 from undrift.fit.triad import offset_of, triad_fit
