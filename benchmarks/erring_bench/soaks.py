@@ -89,9 +89,7 @@ def _add_left_out(fit: StaticFit, left_out: RestBlocks, branch: float, calibrati
         error = error - branch * gyro_fit.hysteresis
         variance = variance - gyro_fit.hysteresis**2 + gyro_fit.hysteresis_uncertainty**2
     per_raw = 1.0 / (DPS * calibration.gyro.scale_factor)
-    judged = [
-        item for item in fit.verdict.findings if item.code != "drift.hysteresis_unknown"
-    ]  # a course up knows none
+    judged = [item for item in fit.findings if item.code != "drift.hysteresis_unknown"]  # a course up knows none
     tally.add(Verdict.of(*judged), offset=(error * per_raw, np.sqrt(variance) * per_raw))
 
 

@@ -154,7 +154,8 @@ class Verdict:
 
     @classmethod
     def of(cls, *findings: Finding) -> "Verdict":
-        """Return the verdict of findings: bad if any is a fail, otherwise marginal if any is a warn, otherwise good."""
+        """Return the verdict of findings, each once: bad if any is a fail, otherwise marginal if any is a warn, otherwise good."""
+        findings = tuple({item.text: item for item in findings}.values())
         levels = {item.level for item in findings}
         return cls(status="bad" if "fail" in levels else "marginal" if "warn" in levels else "good", findings=findings)
 

@@ -9,10 +9,11 @@ import pytest
 
 from testkit.cohorts import share_limits
 from testkit.data import data_path, show
+from testkit.rest_blocks import curve_uncertainty
 from undrift.drift.observe import observe_rests
 from undrift.drift.offset import fit_static, variance_of_mean
 from undrift.fit.triad import nominal_triad
-from undrift.model import Calibration
+from undrift.model import Calibration, Verdict
 from undrift.record import Record, Session, Still
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -72,7 +73,7 @@ def test_slopes_of_a_warm_up_are_those_of_its_block_means(warm_up):
     show("accelerometer slopes, mg/degC", np.round(1e3 * fit.accel.slope, 2), "+0.276 / -0.094 / -1.79")
     np.testing.assert_allclose(1e3 * fit.gyro.slope, [-3.5, 27.9, -2.4], atol=0.5)
     np.testing.assert_allclose(1e3 * fit.accel.slope, [0.276, -0.094, -1.79], atol=0.15)
-    assert any("Turn-on bias" in reason for reason in fit.verdict.reasons)
+    assert any("Turn-on bias" in item.text for item in fit.findings)
 
 
 def split_by(record, seconds):
@@ -180,13 +181,13 @@ def test_two_plateaus_give_a_line_that_owns_up_to_the_gap():
     assert fit.table.gyro_extrapolated[middle].all()
     show("uncertainty at 13, 30 and 47.5 degC, mdeg/s", np.round(1e3 * fit.table.gyro_uncertainty[[0, 34, 69]], 0))
     assert (fit.table.gyro_uncertainty[middle] > fit.table.gyro_uncertainty[0]).all()
-    curve = fit.gyro.curve_uncertainty  # without what every visit adds, which is the same everywhere
+    curve = curve_uncertainty(fit.gyro)  # without what every visit adds, which is the same everywhere
     assert (curve[34, :2] > 5.0 * curve[0, :2]).all()
     line = fit.table.gyro_offset[0] + (nodes - 13.0)[:, None] * fit.gyro.slope
     np.testing.assert_allclose(fit.table.gyro_offset[middle], line[middle], atol=0.05)
     assert fit.accel is None
-    assert any("Calibrate six faces" in reason for reason in fit.verdict.reasons)
-    assert fit.verdict.status == "marginal"
+    assert any("Calibrate six faces" in item.text for item in fit.findings)
+    assert Verdict.of(*fit.findings).status == "marginal"
 
 
 def test_eleven_recordings_of_a_bicycle_give_slopes():

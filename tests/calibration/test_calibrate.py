@@ -177,22 +177,6 @@ def test_face_that_was_not_recorded_is_named():
 FITTED = random_device(np.random.default_rng(21), grade="consumer")
 
 
-@pytest.fixture(scope="module")
-def faces():
-    return simulate_session("six_face", FITTED, rng=np.random.default_rng(22), temp_c=25.0)
-
-
-def test_window_and_polynomial_of_the_faces_reach_the_fit(faces):
-    plain = calibrate(faces)
-    short = calibrate(faces, settings=CalibrateSettings(window_s=2.0))
-    assert not np.array_equal(short.accel.offset, plain.accel.offset)
-    cubic = calibrate(faces, settings=CalibrateSettings(polynomial_degree=3))
-    # A polynomial leaves the mean of its window alone; the noise of the means, and so the weights, come from what it leaves.
-    np.testing.assert_allclose(cubic.accel.matrix, plain.accel.matrix, rtol=1e-3)
-    assert not np.array_equal(cubic.accel.covariance, plain.accel.covariance)
-    assert dict(cubic.provenance.settings)["polynomial_degree"] == "3"
-
-
 @pytest.mark.parametrize(
     "settings",
     [

@@ -84,8 +84,9 @@ def fit(session):
 
 
 def test_tables_of_soaks_cover_what_the_offsets_cover(fit):
-    assert fit.scale.verdict.status == fit.dynamic.verdict.status == "good"
-    assert not [item for item in fit.static.verdict.findings if item.level != "info"]
+    assert not [
+        item for item in (*fit.scale.findings, *fit.dynamic.findings, *fit.static.findings) if item.level != "info"
+    ]
     assert fit.verdict.status == "good"
     drift = fit.calibration.drift
     ends = [(table.temp_c[0], table.temp_c[-1]) for table in (drift.static, drift.scale, drift.dynamic) if table]

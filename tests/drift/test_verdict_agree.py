@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from undrift.drift.fit import DriftSettings, fit_drift
-from undrift.drift.verdict import offsets_verdict
+from undrift.drift.verdict import check_offsets
 from undrift.errors import Implausible
+from undrift.model import Verdict
 from undrift.sim.device.presets import preset
 from undrift.sim.device.truth import true_calibration
 from undrift.sim.motion.bench import BenchSettings
@@ -103,7 +104,7 @@ def with_table_uncertainty(static, dps):
 )
 def test_offset_differs_from_three_standard_uncertainties(off, known_to, status, code):
     static = fit_drift([warmed(4, (0.0, 0.0, 0.0))], CALIBRATION, settings=TABLES).static
-    verdict = offsets_verdict(with_table_uncertainty(static, known_to), shifted((off, 0.0, 0.0)))
+    verdict = Verdict.of(*check_offsets(with_table_uncertainty(static, known_to), shifted((off, 0.0, 0.0))))
     assert verdict.status == status
     assert [item.code for item in verdict.findings] == ([code] if code else [])
     if code:

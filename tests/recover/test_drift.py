@@ -9,6 +9,7 @@ import pytest
 from testkit.cohorts import share_limits
 from testkit.data import show
 from testkit.rate_steps import GRID, SOAKS, computed, reading
+from testkit.rest_blocks import curve_uncertainty
 from testkit.simulated_device import motion_of
 from undrift.drift.observe import observe_rests
 from undrift.drift.offset import StaticSettings, fit_static
@@ -84,7 +85,7 @@ def coverage(devices, points, **effects):
         fit, truth, _, per_dps = fitted(seed, points, **effects)
         seen = ~fit.table.gyro_extrapolated
         error = (fit.table.gyro_offset - truth)[seen]
-        own = fit.gyro.curve_uncertainty  # the truth is the curve: no visit of its own
+        own = curve_uncertainty(fit.gyro)  # the truth is the curve: no visit of its own
         inside.append((np.abs(error) <= 1.96 * own[seen]).mean())
         square.append((error**2).mean() / per_dps**2)
         stated.append((own[seen] ** 2).mean() / per_dps**2)

@@ -24,3 +24,8 @@ def rest_blocks(temp_c, gyro, *, accel=None, noise=1e-3, time=None, **columns):
         "accel_step_error": np.zeros((n, 3)),
     }
     return RestBlocks(**plain | columns)
+
+
+def curve_uncertainty(triad):
+    """Return the standard uncertainty of the curve of a triad itself, the mean over visits, (n, 3)."""
+    return np.sqrt(np.maximum(triad.uncertainty**2 - triad.visit**2, 0.0))

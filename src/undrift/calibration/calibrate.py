@@ -72,7 +72,7 @@ def calibrate_rest(observed: Observed, mode: Mode, accel: TriadFit | None) -> Tr
     nominal = f"the nominal scale is used with +- {100.0 * SCALE_FACTOR:g} % (1 sigma)."
     return triad_fit(
         (means[~np.isnan(means).any(axis=1)] - offset) * factor,
-        Verdict.of(_no_scale(observed, accel, "Gyroscope scale", why=nominal)),
+        _no_scale(observed, accel, "Gyroscope scale", why=nominal),
         method="rest",
         unit_in=unit,
         unit_out="rad/s",
@@ -190,33 +190,28 @@ def calibrated(
         raise InputError(
             "calibrate: mode paper requires rests on six faces and known turns. Record them, or use mode affine."
         )
-    findings = (*other_temperatures, *_doubts(observed, accel_fit, gyro_fit), *accel_findings, *gyro_findings)
-    verdict, models = _collect_verdict(findings), dict[str, TriadModel]()
+    findings = [*other_temperatures, *_doubts(observed, accel_fit, gyro_fit), *accel_findings, *gyro_findings]
+    models = dict[str, TriadModel]()
     kinds: tuple[Kind, Kind] = ("accel", "gyro")
     visible = () if accel_fit is None else ("mounting",)  # gravity measures it
     for kind, fit in zip(kinds, (accel_fit, gyro_fit), strict=True):
         if fit is not None:
+            models[kind] = fit.model
             stated = name_stated_sources(kind, fit.model, observed.session, settings, visible=visible)
-            verdict, models[kind] = verdict.also(fit.verdict).also(Verdict.of(*stated)), fit.model
+            findings += (*fit.findings, *stated)
     if not models:
         reasons = [item.text for item in findings]
         if moves_enough(session.records):
             reasons.append(FROM_MOTION)
         raise NotObservable(f"calibrate: no pose or turn can be used for a fit: {' '.join(reasons)}")
     choices = _choices(observed, _method(accel_fit), _method(gyro_fit), mode)
-    return _build_calibration(
-        session, choices, observed.mean_temperature(), adc=observed.adc, verdict=verdict, **models
-    ), observed
+    temp_c = observed.mean_temperature()
+    return _build_calibration(session, choices, temp_c, findings, adc=observed.adc, **models), observed
 
 
 def _method(fit: TriadFit | None) -> str:
     """Return the name of a fit without its mode."""
     return "none" if fit is None else fit.model.method.partition("/")[0]
-
-
-def _collect_verdict(findings: Iterable[Finding]) -> Verdict:
-    """Return the verdict of findings, each once."""
-    return Verdict.of(*{item.text: item for item in findings}.values())
 
 
 def _not_observable(what: str, level: Level, *, record: str, why: str = "") -> Finding:
@@ -374,7 +369,11 @@ def _check_raw(records: Sequence[Record]) -> None:
 
 
 def _build_calibration(
-    session: Session, choices: Mapping[str, object], temp_c: float, **of_calibration: Any
+    session: Session,
+    choices: Mapping[str, object],
+    temp_c: float,
+    findings: Iterable[Finding],
+    **of_calibration: Any,
 ) -> Calibration:
     settings = {**choices, "gravity": session.gravity_source}
     texts = ((n, "none" if v is None else v if isinstance(v, str) else f"{v:g}") for n, v in settings.items())
@@ -389,6 +388,7 @@ def _build_calibration(
             created=datetime.now(UTC).isoformat(timespec="seconds"),
         ),
         file_map=session.file_map,
+        verdict=Verdict.of(*findings),
         **of_calibration,
     )
 
@@ -437,24 +437,22 @@ def calibrate_to_references(
     session = _build_session(records, gravity_m_s2)
     adc = device_adc(records)
     fit = fit_reference(records, references, mounting=mounting, adc=adc, longest_lag_s=longest_lag_s)
-    verdict, accel = fit.triad.verdict, None
+    findings, accel = [*fit.triad.findings], None
     if all(record.accel is not None for record in records):
         readings = [restored(record, adc) for record in records]
-        accel, accel_verdict = _accel_by_reference(readings, references, fit, session.gravity_m_s2)
-        verdict = verdict.also(accel_verdict)
-        if accel is not None:
-            stated = name_stated_sources("accel", accel, session, CalibrateSettings(), visible=("instability",))
-            verdict = verdict.also(Verdict.of(*stated))
-    if accel is not None and session.gravity_source == "standard":
-        verdict = verdict.also(Verdict.of(_gravity_assumed(session.gravity_m_s2, "info")))
+        accel, accel_findings = _accel_by_reference(readings, references, fit, session.gravity_m_s2)
+        findings += accel_findings
+    if accel is not None:
+        findings += name_stated_sources("accel", accel, session, CalibrateSettings(), visible=("instability",))
+        findings += [_gravity_assumed(session.gravity_m_s2, "info")] if session.gravity_source == "standard" else []
     choices = {"gyro": "reference", "mounting": mounting, "recordings": len(records)}
     temp_c = _mean_temperature(records)
-    return _build_calibration(session, choices, temp_c, gyro=fit.triad.model, accel=accel, adc=adc, verdict=verdict)
+    return _build_calibration(session, choices, temp_c, findings, gyro=fit.triad.model, accel=accel, adc=adc)
 
 
 def _accel_by_reference(
     readings: Sequence[Record], references: Sequence[Reference], fit: ReferenceFit, gravity_m_s2: float
-) -> tuple[TriadModel | None, Verdict]:
+) -> tuple[TriadModel | None, tuple[Finding, ...]]:
     """Return the accelerometers fitted to the references, or those that turn with the gyroscopes, and why they were not fitted."""
     try:
         accel = fit_reference_accel(
@@ -462,8 +460,8 @@ def _accel_by_reference(
         )
     except (CalibrationError, InputError) as error:
         failed = _not_observable("Accelerometer", "info", why=str(error), record="Record rests on six sides.")
-        return turned_like(fit.triad.model, readings[0].accel_unit), Verdict.of(failed)
-    return accel.model, accel.verdict
+        return turned_like(fit.triad.model, readings[0].accel_unit), (failed,)
+    return accel.model, accel.findings
 
 
 # ---- recordings in motion: nothing else
@@ -527,33 +525,34 @@ def from_motion(session: Session, *, magnetometer: bool = False) -> tuple[Calibr
     readings = [restored(record, adc) for record in records]
     gravity, uncertainty = session.gravity_m_s2, GRAVITY_SPREAD if assumed else 0.0
     fit = fit_in_motion(readings, gravity_m_s2=gravity, gravity_uncertainty=uncertainty)
-    field, verdict = None, fit.gyro.verdict
+    field, field_findings = None, tuple[Finding, ...]()
     if magnetometer:  # the magnetic field then is a second reference direction next to gravity
         rates = [
             (np.asarray(record.gyro) - offset / si_factor(record.gyro_unit, "rate")) @ fit.gyro.model.matrix.T
             for record, offset in zip(readings, fit.offsets, strict=True)
         ]
-        field, field_verdict = _fit_field(readings, rates, fit)
+        field, field_findings = _fit_field(readings, rates, fit)
         fields = [
             None if record.mag_ut is None else field.corrected(record.mag_ut, rate)
             for record, rate in zip(readings, rates, strict=True)
         ]
         fit = fit_in_motion(readings, fields=fields, gravity_m_s2=gravity, gravity_uncertainty=uncertainty)
-        verdict = fit.gyro.verdict.also(field_verdict)
     calibration = _build_calibration(
         session,
         {"gyro": "motion", "accel": "motion", "recordings": len(records)},
         _mean_temperature(records),
+        (*fit.gyro.findings, *field_findings, *findings),
         gyro=fit.gyro.model,
         accel=fit.accel.model,
         magnetometer=field,
         adc=adc,
-        verdict=verdict.also(_collect_verdict(findings)),
     )
     return calibration, fit
 
 
-def _fit_field(records: Sequence[Record], rates: Sequence[FloatArray], fit: InMotion) -> tuple[Magnetometer, Verdict]:
+def _fit_field(
+    records: Sequence[Record], rates: Sequence[FloatArray], fit: InMotion
+) -> tuple[Magnetometer, tuple[Finding, ...]]:
     """Fit the magnetometer with the recordings that have one. Gyroscopes and gravity determine the attitude."""
     from undrift.calibration.magnetometer import FieldReadings, fit_magnetometer  # imports much of scipy
 

@@ -29,7 +29,6 @@ from undrift.findings import Finding, finding
 from undrift.fit.carried import MEAN_S, CarriedMeans
 from undrift.fit.priors import CROSS_AXIS, SCALE_FACTOR, SCALE_LIMIT, UNCERTAIN_PERCENT
 from undrift.fit.triad import TriadFit, triad_fit
-from undrift.model import Verdict
 from undrift.record import Record, Still
 from undrift.segments import BENCH_RATE_LIMIT, StillSettings, find_still
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
@@ -197,7 +196,7 @@ def fit_in_motion(
     sizes = sizes * np.sqrt((3.0 + KNOWN_FROM) / (1.0 + KNOWN_FROM))  # Student's t: sizes are known from few elements
     spread[:21] = np.repeat(np.maximum(sizes, ALLOWED), 3)
     covariance = np.linalg.inv((rows / spread[:, None] ** 2).T @ rows + motion / np.outer(wide, wide))
-    return _result(records, parts, x, covariance, Verdict.of(*_findings(x, covariance)))
+    return _result(records, parts, x, covariance)
 
 
 def without_gaps(record: Record) -> list[Record]:
@@ -315,9 +314,7 @@ def _prior(parts: Sequence[_Part]) -> tuple[FloatArray, FloatArray, FloatArray]:
     return rows, value, np.concatenate((known, *(spread for _, _, spread in rests)))
 
 
-def _result(
-    records: Sequence[Record], parts: Sequence[_Part], x: FloatArray, covariance: FloatArray, verdict: Verdict
-) -> InMotion:
+def _result(records: Sequence[Record], parts: Sequence[_Part], x: FloatArray, covariance: FloatArray) -> InMotion:
     """Return the model in the units of the readings. Raise if it cannot describe a device in motion."""
     gyro, accel = x[:18].reshape(2, 3, 3)
     numbers_of = [[k for k, part in enumerate(parts) if part.recording == r] for r in range(len(records))]
@@ -336,8 +333,8 @@ def _result(
     gyro_unit, accel_unit = records[0].gyro_unit, records[0].accel_unit
     turned = residuals[:, :2] / (STANDARD_GRAVITY * MEAN_S)
     fit = InMotion(
-        gyro=_triad(turned, x, covariance, np.r_[:9, 21:24], rates, verdict, units=(gyro_unit, "rad/s")),
-        accel=_triad(residuals, x, covariance, np.r_[9:21], forces, verdict, units=(accel_unit, "m/s2")),
+        gyro=_triad(turned, x, covariance, np.r_[:9, 21:24], rates, units=(gyro_unit, "rad/s")),
+        accel=_triad(residuals, x, covariance, np.r_[9:21], forces, units=(accel_unit, "m/s2")),
         offsets=np.array([offsets[numbers].mean(axis=0) for numbers in numbers_of]),
         offset_uncertainty=np.array([spread[numbers].max(axis=0) for numbers in numbers_of]),
         acceleration=acceleration,
@@ -350,16 +347,20 @@ def _result(
 
 
 def _triad(
-    residuals: FloatArray, x: FloatArray, covariance: FloatArray, rows: FloatArray, corrected: FloatArray,
-    verdict: Verdict, units: tuple[str, str],
-) -> TriadFit:  # fmt: skip
+    residuals: FloatArray,
+    x: FloatArray,
+    covariance: FloatArray,
+    rows: FloatArray,
+    corrected: FloatArray,
+    units: tuple[str, str],
+) -> TriadFit:
     """Return a triad whose matrix and offset are the elements ``rows`` (12,) of x, in the unit of the readings."""
     unit_in, unit_out = units
     factor = si_factor(unit_in, "rate" if unit_out == "rad/s" else "accel")
     scale = np.repeat((factor, 1.0 / factor), (9, 3))
     return triad_fit(
         residuals.ravel(),
-        verdict,
+        *_findings(x, covariance),
         method="motion",
         unit_in=unit_in,
         unit_out=unit_out,

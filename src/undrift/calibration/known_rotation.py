@@ -60,7 +60,7 @@ from undrift.findings import Finding, finding
 from undrift.fit.gls import block_size, carried, noise_of_means, solve_inverse
 from undrift.fit.priors import G_SENSITIVITY
 from undrift.fit.triad import TriadFit, TriadParameters, fit_of, inverse_jacobian, offset_of, parameters_of
-from undrift.model import AXES, TriadModel, Verdict
+from undrift.model import AXES, TriadModel
 from undrift.record import Axis, Face, Record, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -244,7 +244,7 @@ def fit_known_rotation(
         findings = [*findings, *offset_drift(gls)]
     findings += limited_by_codes("gyroscope", rows.rounding**2, np.diag(fitted.covariance)[9:12], rows.unit)
     names = {"method": f"known-rotation/{mode}", "unit_in": rows.unit, "unit_out": "rad/s"}
-    return fit_of(fitted, rows.rate, residuals, Verdict.of(*findings), remainder="instability", **names)
+    return fit_of(fitted, rows.rate, residuals, *findings, remainder="instability", **names)
 
 
 def _closed_form(
@@ -407,4 +407,4 @@ def calibrate_turns(observed: Observed, mode: Mode, accel: TriadFit | None) -> T
         # Full turns bring gravity back for any axes. Moves reveal gyroscope axes that differ from those of the accelerometer.
         for record in records:
             findings += _check_by_gravity(record, fit.model, model)
-    return replace(fit, verdict=fit.verdict.also(Verdict.of(*findings)))
+    return fit.also(*findings)

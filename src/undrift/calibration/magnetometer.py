@@ -31,7 +31,7 @@ from undrift.findings import Finding, finding
 from undrift.fit.gls import carried
 from undrift.fit.triad import inverse_jacobian, triad_fit
 from undrift.frames import rotation
-from undrift.model import AXES, Magnetometer, Verdict
+from undrift.model import AXES, Magnetometer
 from undrift.units import RADIAN_PER_DEGREE
 
 BLOCK_S, KNOT_S = 0.25, 2.0  # length of a mean, and distance between knots of c(t)
@@ -139,8 +139,8 @@ class _FieldStretch:
         return solved(self.sizes)[1:]
 
 
-def fit_magnetometer(readings: Mapping[int, FieldReadings]) -> tuple[Magnetometer, Verdict]:
-    """Fit the magnetometer of a device to recordings in motion, and return it with its verdict.
+def fit_magnetometer(readings: Mapping[int, FieldReadings]) -> tuple[Magnetometer, tuple[Finding, ...]]:
+    """Fit the magnetometer of a device to recordings in motion, and return it with findings.
 
     ``readings`` contains for the number of each recording: time (N,), s, readings (N, 3), uT, with NaN for gaps, and orientation
     (N, 4) from case to level, z up, with any heading. Raise InputError for short recordings, NotObservable if the device is not
@@ -193,7 +193,7 @@ def fit_magnetometer(readings: Mapping[int, FieldReadings]) -> tuple[Magnetomete
         valid_range=(float(fields.min()), float(fields.max())),
     ).model  # fmt: skip
     magnetometer = Magnetometer(model=model, lag_s=lag, lag_uncertainty_s=float(np.sqrt(covariance[12, 12])))
-    return magnetometer, Verdict.of(*_findings(stretches, np.sqrt(np.diag(covariance)), np.abs(usual).T))
+    return magnetometer, tuple(_findings(stretches, np.sqrt(np.diag(covariance)), np.abs(usual).T))
 
 
 def _cut(number: int, time: FloatArray, mag: FloatArray, q_nb: FloatArray) -> Iterator[_FieldStretch]:

@@ -42,7 +42,7 @@ from undrift.errors import NotObservable, PoorFit
 from undrift.fit.gls import GlsFit, Prior, carried, solve
 from undrift.fit.priors import G_SENSITIVITY, GYRO_FLICKER, REST_DRIFT, UNCERTAIN_PERCENT
 from undrift.fit.triad import TriadFit, TriadParameters, fit_of, parameter_names
-from undrift.model import MATRIX_NAMES, TriadModel, Verdict
+from undrift.model import MATRIX_NAMES, TriadModel
 from undrift.record import Record, Still
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
@@ -455,7 +455,7 @@ def _check_determined(matrix_slopes: FloatArray, matrix: FloatArray) -> None:
 
 
 def _judge_triad(problem: _Problem, fit: GlsFit, rows: _Rows, unit_in: str) -> TriadFit:
-    """Return parameters as a fit with its verdict. Raise if they cannot describe this gyroscope."""
+    """Return parameters as a fit with findings. Raise if they cannot describe this gyroscope."""
     moves, rests, theta = problem.moves, problem.reading.size, fit.theta
     rms_deg = _rms_deg(problem, rows)
     if rms_deg > HOPELESS_DEG:
@@ -485,7 +485,7 @@ def _judge_triad(problem: _Problem, fit: GlsFit, rows: _Rows, unit_in: str) -> T
     )
     residuals = rows.misfit[rests:].reshape(-1, 2) / moves.duration_s[:, None]
     names = {"method": "multi-position", "unit_in": unit_in, "unit_out": "rad/s"}
-    triad = fit_of(parameters, (np.concatenate(inside) - offset) @ matrix.T, residuals, Verdict.of(*findings), **names)
+    triad = fit_of(parameters, (np.concatenate(inside) - offset) @ matrix.T, residuals, *findings, **names)
     rate_hz = float(np.median((moves.last - moves.first) / moves.duration_s))
     check_own_scale(triad.model.scale_factor, unit_in, "rate", "gyro", sample_rate_hz=rate_hz)
     return triad

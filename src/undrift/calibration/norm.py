@@ -39,7 +39,7 @@ from undrift.errors import NotObservable, PoorFit
 from undrift.findings import Finding, above, finding, told_apart
 from undrift.fit.gls import NORMAL_95, GlsFit, Prior, carried, solve
 from undrift.fit.triad import TriadFit, TriadParameters, fit_of, parameter_names, scaled_condition
-from undrift.model import AXES, Verdict
+from undrift.model import AXES
 from undrift.segments import sphere_of
 from undrift.units import STANDARD_GRAVITY, canonical_unit, is_physical, si_factor
 
@@ -237,7 +237,7 @@ def _linearised(v: FloatArray, p: FloatArray, gravity: float) -> tuple[FloatArra
     return np.concatenate((n[ROW] * d[COLUMN], -matrix.T @ n)).T, length - gravity
 
 
-# ---- a solution as a fit with its verdict
+# ---- a solution as a fit with findings
 
 
 def check_count(reading: FloatArray, wanted: int) -> None:
@@ -253,7 +253,7 @@ def check_count(reading: FloatArray, wanted: int) -> None:
 
 
 def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
-    """Return a solution as a fit with its verdict. Raise if the readings cannot be in the declared unit."""
+    """Return a solution as a fit with findings. Raise if the readings cannot be in the declared unit."""
     unit = canonical_unit(unit_in, "accel")
     if is_physical(unit):
         check_gravity(reading * si_factor(unit, "accel"), fit.gravity)
@@ -266,7 +266,7 @@ def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
         parts={name: carried(carry, share) for name, share in fit.budget.items()},
     )
     names = {"method": "multi-position", "unit_in": unit, "unit_out": "m/s2"}
-    triad = fit_of(parameters, corrected, fit.residuals, Verdict.of(*_judged(fit, corrected)), **names)
+    triad = fit_of(parameters, corrected, fit.residuals, *_judged(fit, corrected), **names)
     check_own_scale(triad.model.scale_factor, unit, "accel", "accel")
     return replace(triad, model=replace(triad.model, rank=9 - len(fit.kept), condition=fit.condition))
 

@@ -40,7 +40,7 @@ from undrift.findings import Finding, finding
 from undrift.fit.gls import GlsFit, Prior, block_size, fit_huber, noise_of_means, solve_inverse
 from undrift.fit.priors import G_SENSITIVITY, SCALE_FACTOR, SCALE_FACTOR_IN_COUNTS, UNCERTAIN_PERCENT
 from undrift.fit.triad import TriadFit, fit_of, fit_paper, parameters_of
-from undrift.model import AXES, TriadModel, Verdict
+from undrift.model import AXES, TriadModel
 from undrift.record import Record, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
@@ -85,7 +85,7 @@ def fit_rate_table(
     else:
         parameters = parameters_of(gls, with_g=dwells.felt)
         fit = fit_of(parameters, rates, -gls.residuals.reshape(-1, 3), **names)
-        fit = replace(fit, verdict=Verdict.of(*_findings(fit.model, gls, dwells)))
+        fit = fit.also(*_findings(fit.model, gls, dwells))
     check_own_scale(fit.model.scale_factor, dwells.unit, "rate", "gyroscope")
     return fit
 
@@ -318,7 +318,7 @@ def calibrate_rates(observed: Observed, mode: Mode, accel: TriadFit | None) -> T
         creep=creep_of(observed, pieces, "gyro"),
     )
     fit = fit if offset is None else with_offset(fit, offset, variance)
-    return replace(fit, verdict=fit.verdict.also(Verdict.of(*findings)))
+    return fit.also(*findings)
 
 
 def _join_rests(

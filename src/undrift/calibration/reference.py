@@ -42,7 +42,7 @@ from undrift.frames import (
     rotation,
     rotation_vector,
 )
-from undrift.model import CODE_NAMES, MATRIX_NAMES, MOVING_NAMES, OFFSET_NAMES, AdcModel, TriadModel, Verdict
+from undrift.model import CODE_NAMES, MATRIX_NAMES, MOVING_NAMES, OFFSET_NAMES, AdcModel, TriadModel
 from undrift.record import Mounting, Record, Reference
 from undrift.segments import find_still, find_turning, unpadded
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
@@ -581,7 +581,7 @@ def _result(
         *(item for r in recordings for item in r.aligned.findings),
     ]
     return ReferenceFit(
-        triad=replace(triad, verdict=Verdict.of(*findings)),
+        triad=triad.also(*findings),
         motion_offset=motion_offset,
         rest_offsets=np.array([r.rest for r in recordings]),
         lags_s=np.array([r.aligned.lag.seconds for r in recordings]),

@@ -21,7 +21,6 @@ from undrift.calibration.session import Observed, spans_of
 from undrift.calibration.settings import CalibrateSettings
 from undrift.calibration.sources import creep_of, flicker_about_mean, noise_and_codes, uncertain
 from undrift.errors import InputError, NotObservable
-from undrift.findings import Verdict
 from undrift.fit.gls import block_size, noise_of_means, solve_inverse
 from undrift.fit.priors import ACCEL_FLICKER, REFERENCE_LEVEL
 from undrift.fit.triad import TriadFit, first_matrix, fit_of, nominal_triad, parameters_of, scaled_condition
@@ -104,7 +103,7 @@ def fit_reference_accel(
     findings = [*limited_by_codes("accelerometer", codes, noise + codes, "m/s2")]
     percent = 100.0 * float((fitted.model.standard_uncertainty[:9] / np.linalg.norm(fitted.model.matrix, 2)).max())
     findings += uncertain("The accelerometer matrix", percent, WANTED_PERCENT, "%", RECORD_LONGER)
-    return replace(fitted, verdict=Verdict.of(*findings))
+    return fitted.also(*findings)
 
 
 def _sources(

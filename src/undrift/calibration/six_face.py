@@ -42,7 +42,6 @@ from undrift.findings import Finding, finding
 from undrift.fit.gls import GlsFit, block_size, carried, noise_of_means, solve_inverse, student_factor
 from undrift.fit.priors import ACCEL_FLICKER
 from undrift.fit.triad import TriadFit, first_matrix, fit_of, fit_paper, parameters_of
-from undrift.model import Verdict
 from undrift.record import Face, Record, Still
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
@@ -95,7 +94,7 @@ def fit_six_face(poses: FaceMeans, *, gravity: float, mode: Mode = "affine") -> 
         fit = fit_paper(inputs, poses.reading, gls, **names)
     else:
         fit = fit_of(parameters_of(gls), inputs, -gls.residuals.reshape(-1, 3), **names)
-    return replace(fit, verdict=fit.verdict.also(Verdict.of(*findings)))
+    return fit.also(*findings)
 
 
 def solve_faces(poses: FaceMeans, gravity: float, mode: Mode = "affine") -> GlsFit:

@@ -206,14 +206,14 @@ def fit_drift(
                 for temperatures_of in trusted
             ]
         )
-    verdict = judge.rests_verdict(sessions, rests, steps)
+    findings = [*judge.check_rests(sessions, rests, steps)]
     report("fitting offsets over temperature", 0.4)
     # single readings, which ``correct`` looks up, reach beyond the smooth course
     lead = lag_s / smooth_s if lag_s > 0.0 else 1.0
     margin_c = OUTLYING * lead * max(temperature.scatter_c for temperature in temperatures)
     seen_c = np.concatenate((rests.temp_c, steps.temp_c))
     nodes = table_nodes(np.array([seen_c.min() - margin_c, seen_c.max() + margin_c]), settings.step_c)
-    accel, accel_verdict = _accelerometers(rests, device, nodes)
+    accel, accel_findings = _accelerometers(rests, device, nodes)
     left_s = 0.0 if lag_s > 0.0 else np.inf
     if lag is not None:
         left_s = np.hypot(lag.uncertainty_s, lag.lag_s - lag_s)
@@ -221,14 +221,13 @@ def fit_drift(
     static_settings = replace(settings.static, accel=accel is None, lag_uncertainty_s=lag_uncertainty_s)
     static = fit_static(rests, nodes=nodes, calibration=device, settings=static_settings)
     judge.check_sessions(static, device)
-    verdict = verdict.also(judge.offsets_verdict(static, device, felt_by_gyro(rests, device).mean(axis=0)))
-    verdict = verdict.also(judge.gravity_verdict(rests, device))
+    findings += judge.check_offsets(static, device, felt_by_gyro(rests, device).mean(axis=0))
+    findings += judge.check_gravity(rests, device)
     report("fitting scale and dynamic drift", 0.5)
-    scale, dynamic, rates_verdict = _fit_rates(steps, device, static, settings.tables)
-    verdict = verdict.also(judge.turns_verdict(scale, device)).also(rates_verdict)
-    verdict = verdict.also(accel_verdict).also(judge.static_verdict(static, device, temperatures))
-    if lag is not None:
-        verdict = verdict.also(judge.lag_verdict(lag))
+    scale, dynamic, rate_findings = _fit_rates(steps, device, static, settings.tables)
+    findings += (*judge.check_turns(scale, device), *rate_findings, *accel_findings, *static.findings)
+    findings += (*judge.check_temperatures(static, device, temperatures), *judge.check_lag(lag))
+    verdict = Verdict.of(*findings)
     scale_table = scale.drift if scale is not None and "scale" in settings.tables else None
     tables = replace(
         _tables(static.table, scale_table, None if dynamic is None else dynamic.drift, accel),
@@ -275,8 +274,8 @@ def table_nodes(seen_c: FloatArray, step_c: float) -> FloatArray:
 
 def _fit_rates(
     steps: RateSteps, device: Calibration, static: StaticFit, tables: Tables
-) -> tuple[ScaleFit | None, DynamicFit | None, Verdict]:
-    """Return matrix and dynamic drift with their verdict. The matrix is always fitted, because it shows the axes of the turns."""
+) -> tuple[ScaleFit | None, DynamicFit | None, list[Finding]]:
+    """Return matrix and dynamic drift with their findings. The matrix is always fitted, because it shows the axes of the turns."""
     scale, dynamic, findings, temp_c = None, None, list[Finding](), static.table.temp_c
     try:
         if device.gyro is None or static.gyro is None:
@@ -292,21 +291,21 @@ def _fit_rates(
         what = "Scale and dynamic drift" if scale is None else "Dynamic drift"
         if tables != "none" and static.gyro is not None:
             findings.append(not_observable("warn" if scale is None else "info", what, str(error)))
-    verdict = Verdict.of(*findings)
     for fit, wanted in ((scale, "scale" in tables), (dynamic, True)):
-        verdict = verdict.also(fit.verdict) if fit is not None and wanted else verdict
-    return scale, dynamic, verdict
+        findings += fit.findings if fit is not None and wanted else ()
+    return scale, dynamic, findings
 
 
-def _accelerometers(rests: RestBlocks, device: Calibration, nodes: FloatArray) -> tuple[AccelDriftFit | None, Verdict]:
+def _accelerometers(
+    rests: RestBlocks, device: Calibration, nodes: FloatArray
+) -> tuple[AccelDriftFit | None, tuple[Finding, ...]]:
     """Return the accelerometers' fit to poses, or None with the reason if the poses do not determine it."""
     if device.accel is None or len(np.unique(rests.pose)) < 2 or np.isnan(rests.accel).all():
-        return None, Verdict()
+        return None, ()
     try:
-        return fit_accel_drift(rests, device.accel, gravity=device.gravity_m_s2, temp_c=nodes), Verdict()
+        return fit_accel_drift(rests, device.accel, gravity=device.gravity_m_s2, temp_c=nodes), ()
     except NotObservable as error:
-        what = "Accelerometer matrix over temperature"
-        return None, Verdict.of(not_observable("info", what, str(error)))
+        return None, (not_observable("info", "Accelerometer matrix over temperature", str(error)),)
 
 
 def _tables(

@@ -32,7 +32,7 @@ from undrift.findings import Finding, finding
 from undrift.fit.curve import Curve, NodeValues, fit_curve, not_a_knot
 from undrift.fit.gls import determined, excess_variance, student_factor
 from undrift.fit.priors import ACCEL_FLICKER, GYRO_FLICKER, THERMOMETER_LAG
-from undrift.model import G_NAMES, Calibration, StaticDrift, TriadModel, Verdict, WarmUp
+from undrift.model import G_NAMES, Calibration, StaticDrift, TriadModel, WarmUp
 
 UNKNOWN_SCALE_PER_K = 2e-4  # accelerometers in a single pose: a capacitive sensor shifts by +-1 % in 50 K
 EDGE_C = 0.5  # a node this far outside the observed temperatures is extrapolated
@@ -123,20 +123,15 @@ class TriadDrift:
     warm_up: WarmUp | None = None
     findings: tuple[Finding, ...] = ()
 
-    @property
-    def curve_uncertainty(self) -> FloatArray:
-        """Standard uncertainty of the curve itself, the mean over visits, shape (n, 3)."""
-        return np.asarray(np.sqrt(np.maximum(self.uncertainty**2 - self.visit**2, 0.0)))
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StaticFit:
-    """A static tuning table with its verdict."""
+    """A static tuning table with its findings."""
 
     table: StaticDrift  # at the nodes asked for
     gyro: TriadDrift | None  # None if a triad was not observed
     accel: TriadDrift | None
-    verdict: Verdict
+    findings: tuple[Finding, ...]
 
 
 def fit_static(
@@ -187,7 +182,7 @@ def fit_static(
         gyro_hysteresis=None if gyro is None else gyro.hysteresis,
         warm_up=None if gyro is None else gyro.warm_up,
     )
-    return StaticFit(table=table, gyro=gyro, accel=accel, verdict=Verdict.of(*findings))
+    return StaticFit(table=table, gyro=gyro, accel=accel, findings=tuple(findings))
 
 
 # ---- offset readings

@@ -32,7 +32,7 @@ from undrift.findings import Finding, finding
 from undrift.fit.curve import fit_curve
 from undrift.fit.gls import determined, excess_variance
 from undrift.fit.triad import inverse_jacobian
-from undrift.model import AXES, DynamicDrift, ScaleDrift, StaticDrift, TriadModel, Verdict
+from undrift.model import AXES, DynamicDrift, ScaleDrift, StaticDrift, TriadModel
 from undrift.units import si_factor
 
 STEP_C = 5.0  # between the nodes of the dynamic table
@@ -71,7 +71,7 @@ class ScaleFit:
     soaks: SoakMatrices
     forward: FloatArray  # (n, 3, 3), K at the nodes, raw unit per rad/s
     uncertainty: FloatArray  # (n, 3, 3), of each element, or NaN for an axis that was not turned
-    verdict: Verdict
+    findings: tuple[Finding, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -79,7 +79,7 @@ class DynamicFit:
     """The table of rate-dependent drift."""
 
     drift: DynamicDrift  # an axis that was not turned has zeros with uncertainty NaN
-    verdict: Verdict
+    findings: tuple[Finding, ...]
 
 
 # ---- rate steps made ready
@@ -180,7 +180,7 @@ def fit_scale(steps: Steps, model: TriadModel, *, temp_c: FloatArray) -> ScaleFi
         soaks=soaks,
         forward=forward,
         uncertainty=np.sqrt(variance),
-        verdict=Verdict.of(*steps.findings, *findings),
+        findings=(*steps.findings, *findings),
     )
 
 
@@ -267,7 +267,7 @@ def fit_dynamic(
     drift = DynamicDrift(
         temp_c=temp_c, turn_rate=turn_rate, error=error, uncertainty=uncertainty, extrapolated=extrapolated
     )
-    return DynamicFit(drift=drift, verdict=Verdict.of(*findings))
+    return DynamicFit(drift=drift, findings=tuple(findings))
 
 
 @determined("rate drift")

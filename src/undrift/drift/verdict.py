@@ -13,7 +13,7 @@ Offsets differ from one switch-on to the next, and the calibration may have used
 standard uncertainties, of table and calibration together, and can be bad from ten.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -25,8 +25,8 @@ from undrift.drift.offset import StaticFit, TriadDrift, specific_force, split_by
 from undrift.drift.rates import ScaleFit
 from undrift.drift.temperature import LagFit, Temperature
 from undrift.errors import Implausible
-from undrift.findings import finding, told_apart
-from undrift.model import Calibration, TriadModel, Verdict, level_of
+from undrift.findings import Finding, above, finding, told_apart
+from undrift.model import Calibration, TriadModel, Verdict
 from undrift.record import Session, TemperatureSensitivity
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 
@@ -75,10 +75,10 @@ def check_sessions(static: StaticFit, device: Calibration) -> None:
         )
 
 
-def turns_verdict(scale: ScaleFit | None, device: Calibration) -> Verdict:
+def check_turns(scale: ScaleFit | None, device: Calibration) -> Iterator[Finding]:
     """Compare the turns with the calibration's matrix: axes, signs, scale."""
     if device.gyro is None or scale is None:
-        return Verdict()
+        return
     soaks, constant = scale.soaks, device.gyro.forward_matrix / si_factor(device.gyro.unit_out, "rate")
     against = np.linalg.inv(constant) @ np.where(np.isfinite(soaks.forward), soaks.forward, constant)
     typical = np.median(against, axis=0)
@@ -90,24 +90,22 @@ def turns_verdict(scale: ScaleFit | None, device: Calibration) -> Verdict:
     node = int((np.abs(nodes - device.reference_temp_c) if known else np.abs(change).max(axis=1)).argmin())
     deviation, reference_c = change[node], device.reference_temp_c if known else nodes[node]
     allowed = SCALE_PER_C * np.abs(soaks.temp_c - reference_c).min()
-    level = level_of(float(np.abs(deviation).max() - allowed), SCALE_OFF)
-    if level == "info" or device.gyro.method == "nominal":
-        return Verdict()
+    if device.gyro.method == "nominal":
+        return
     limit_percent = 100.0 * SCALE_OFF[0]
     sizes = ", ".join(told_apart(100.0 * size, ".3g", limit_percent) for size in deviation)
     sentence = (
         f"Scale factors from the turns differ from the calibration by {sizes} % on x, y, z (limit {limit_percent:g} %)."
     )
-    return Verdict.of(
-        finding("drift.scale_differs", level, sentence, "Check turn_rate_dps, the range setting and the device.")
-    )
+    excess, action = float(np.abs(deviation).max() - allowed), "Check turn_rate_dps, the range setting and the device."
+    yield from above("drift.scale_differs", excess, SCALE_OFF, sentence, action)
 
 
-def offsets_verdict(static: StaticFit, device: Calibration, gravity_rate: FloatArray | float = 0.0) -> Verdict:
+def check_offsets(static: StaticFit, device: Calibration, gravity_rate: FloatArray | float = 0.0) -> Iterator[Finding]:
     """Compare the offset table with the calibration's constants. Gravity adds ``gravity_rate`` (3,) to readings at rest."""
     model, triad, offset = device.gyro, static.gyro, static.table.gyro_offset
     if model is None or model.method == "nominal" or triad is None or offset is None:
-        return Verdict()
+        return
     nodes, reference_c = static.table.temp_c, device.reference_temp_c
     nodes_in_span = np.flatnonzero((nodes >= triad.span_c[0] - 1.0) & (nodes <= triad.span_c[1] + 1.0))
     distance = np.abs(nodes[nodes_in_span] - reference_c)
@@ -119,29 +117,27 @@ def offsets_verdict(static: StaticFit, device: Calibration, gravity_rate: FloatA
     uncertainty = np.hypot(triad.uncertainty[node], model.standard_uncertainty[9:12]) * _dps(model)
     excess = np.abs(deviation) - np.abs(triad.slope) * _dps(model) * (2.0 * away_c + TEMPERATURE_OFF_C)
     if not ((excess > TURN_ON_DPS) & (np.abs(deviation) > SIGNIFICANT * uncertainty)).any():
-        return Verdict()
+        return
     is_large = ((excess > FAR_DPS) & (np.abs(deviation) > CERTAIN * uncertainty)).any()
     sizes = ", ".join(told_apart(size, "+.3g", TURN_ON_DPS) for size in deviation)
     sigmas = ", ".join(f"{sigma:.2g}" for sigma in uncertainty)
     cause = _guess_unit(offset[node] + gravity_rate, model.offset + gravity_rate)
-    return Verdict.of(
-        finding(
-            "drift.offset_differs",
-            "fail" if is_large else "warn",
-            f"The offset at {nodes[node]:.1f} degC differs from the calibration by {sizes} deg/s on x, y, z (+- {sigmas}), "
-            f"beyond the {TURN_ON_DPS:g} deg/s of a switch-on{cause}.",
-            "Check which device was recorded, or calibrate again.",
-            offset_dps=deviation,
-        )
+    yield finding(
+        "drift.offset_differs",
+        "fail" if is_large else "warn",
+        f"The offset at {nodes[node]:.1f} degC differs from the calibration by {sizes} deg/s on x, y, z (+- {sigmas}), "
+        f"beyond the {TURN_ON_DPS:g} deg/s of a switch-on{cause}.",
+        "Check which device was recorded, or calibrate again.",
+        offset_dps=deviation,
     )
 
 
-def gravity_verdict(rests: RestBlocks, device: Calibration) -> Verdict:
+def check_gravity(rests: RestBlocks, device: Calibration) -> Iterator[Finding]:
     """Compare the length of the corrected specific force at rest with gravity, rms over the poses."""
     model, rests = device.accel, rests.taken(np.isfinite(rests.accel).all(axis=1))
     force = specific_force(rests, device)
     if model is None or model.method == "nominal" or force is None or not len(rests):
-        return Verdict()
+        return
     away_c = np.abs(rests.temp_c - device.reference_temp_c)
     away_c = away_c if np.isfinite(away_c).all() else np.full(len(rests), UNKNOWN_DEPARTURE_C)
     near_reference = away_c <= away_c.min() + NEAR_C
@@ -156,17 +152,14 @@ def gravity_verdict(rests: RestBlocks, device: Calibration) -> Verdict:
     )
     drift_mg = TemperatureSensitivity().accel_offset_mg_per_k * float(away_c[near_reference].mean())
     usual_mg = float(np.sqrt(1e6 * np.sum(sigma_terms**2) / gravity**2 + LEFT_ACCEL_MG**2 + drift_mg**2))
-    if miss_mg <= SIGNIFICANT * usual_mg:
-        return Verdict()
     temp_c = rests.temp_c[near_reference].mean()
-    return Verdict.of(
-        finding(
-            "drift.accel_differs",
-            "fail" if miss_mg > CERTAIN * usual_mg else "warn",
-            f"With the calibration, {len(poses)} poses near {temp_c:.1f} degC miss gravity by {miss_mg:.0f} mg rms "
-            f"(usual: {usual_mg:.0f} mg).",
-            "Check the calibration file, the unit, the range setting and the device.",
-        )
+    yield from above(
+        "drift.accel_differs",
+        miss_mg,
+        (SIGNIFICANT * usual_mg, CERTAIN * usual_mg),
+        f"With the calibration, {len(poses)} poses near {temp_c:.1f} degC miss gravity by {miss_mg:.0f} mg rms "
+        f"(usual: {usual_mg:.0f} mg).",
+        "Check the calibration file, the unit, the range setting and the device.",
     )
 
 
@@ -183,48 +176,48 @@ def _guess_unit(reading: FloatArray, constant: FloatArray) -> str:
 # ---- what the tables are worth
 
 
-def lag_verdict(lag: LagFit) -> Verdict:
-    """Return a finding if the lag is not observable."""
-    action = "Record ramps up and down at two speeds, for example 0.5 and 3 degC/min."
-    missing = not_observable("info", "Thermometer lag", "it is not separate from hysteresis.", action)
-    return Verdict() if np.isfinite(lag.uncertainty_s) else Verdict.of(missing)
+def check_lag(lag: LagFit | None) -> Iterator[Finding]:
+    """Yield a finding if the lag was estimated and is not observable."""
+    if lag is not None and not np.isfinite(lag.uncertainty_s):
+        action = "Record ramps up and down at two speeds, for example 0.5 and 3 degC/min."
+        yield not_observable("info", "Thermometer lag", "it is not separate from hysteresis.", action)
 
 
-def rests_verdict(sessions: Sequence[Session], rests: RestBlocks, steps: RateSteps) -> Verdict:
-    """Return a finding about recordings that do not contribute to the fit, because they never rest."""
+def check_rests(sessions: Sequence[Session], rests: RestBlocks, steps: RateSteps) -> Iterator[Finding]:
+    """Yield a finding about recordings that do not contribute to the fit, because they never rest."""
     used = {*rests.session.tolist(), *steps.session.tolist()}
     names = [s.inputs[0][0] if s.inputs else f"session {k + 1}" for k, s in enumerate(sessions) if k not in used]
-    sentence = f"{len(names)} recordings have no rest and were left out: {', '.join(names[:5])}."
-    left_out = finding("drift.left_out", "warn", sentence, "Let the device rest for ten seconds in each.")
-    return Verdict.of(left_out) if names else Verdict()
+    if names:
+        sentence = f"{len(names)} recordings have no rest and were left out: {', '.join(names[:5])}."
+        yield finding("drift.left_out", "warn", sentence, "Let the device rest for ten seconds in each.")
 
 
-def static_verdict(static: StaticFit, device: Calibration, temperatures: Sequence[Temperature]) -> Verdict:
-    """Return the verdict of the offsets, with findings about temperatures, a narrow span and bends."""
-    findings = [*static.verdict.findings, *(item for temperature in temperatures for item in temperature.findings)]
+def check_temperatures(
+    static: StaticFit, device: Calibration, temperatures: Sequence[Temperature]
+) -> Iterator[Finding]:
+    """Yield findings about the temperatures, their span, and bends of the offsets over them."""
+    yield from (item for temperature in temperatures for item in temperature.findings)
     if all(temperature.source == "set-points" for temperature in temperatures):
-        findings.append(
-            finding(
-                "drift.set_points_only",
-                "warn",
-                "No recording has a temperature column, so the tables are over set-points. A device thermometer reads otherwise.",
-                "Map the temperature column, also in recordings to correct.",
-            )
+        yield finding(
+            "drift.set_points_only",
+            "warn",
+            "No recording has a temperature column, so the tables are over set-points. A device thermometer reads otherwise.",
+            "Map the temperature column, also in recordings to correct.",
         )
     triad = static.gyro
     if triad is None:
-        return Verdict.of(*findings)
+        return
     (low_c, high_c), share = triad.span_c, float(triad.extrapolated.mean())
     if share > MOST_EXTRAPOLATED or high_c - low_c < NARROW_C:
         sentence = f"The temperatures cover {low_c:.1f} to {high_c:.1f} degC only, and {100.0 * share:.0f} % of the nodes have "
         sentence += "no data near them."
         action = "Record over the temperatures of use, 20 K or more."
-        findings.append(finding("drift.narrow_span", "warn", sentence, action))
-    return Verdict.of(*findings).also(bends_verdict(triad, device.gyro))
+        yield finding("drift.narrow_span", "warn", sentence, action)
+    yield from _check_bends(triad, device.gyro)
 
 
-def bends_verdict(triad: TriadDrift, model: TriadModel | None) -> Verdict:
-    """Return a finding if a set-point is off the line between its neighbours by more than a sound device.
+def _check_bends(triad: TriadDrift, model: TriadModel | None) -> Iterator[Finding]:
+    """Yield a finding if a set-point is off the line between its neighbours by more than a sound device.
 
     Set-points t of a session with mean offset y, with the second divided difference::
 
@@ -232,7 +225,7 @@ def bends_verdict(triad: TriadDrift, model: TriadModel | None) -> Verdict:
     """
     blocks, worst = triad.offsets.blocks, (0.0, 0.0, 0.0)
     if model is None:
-        return Verdict()
+        return
     for rows in split_by(np.arange(len(blocks)), blocks.session):
         rows = rows[np.argsort(blocks.temp_c[rows], kind="stable")]
         parts = np.split(rows, np.flatnonzero(np.diff(blocks.temp_c[rows]) > APART_C) + 1)
@@ -245,15 +238,12 @@ def bends_verdict(triad: TriadDrift, model: TriadModel | None) -> Verdict:
         miss = np.where(np.abs(bend) > MOST_BEND, np.abs(bend) * steps[1:] * steps[:-1] / 2.0, 0.0).max(axis=1)
         k = int(miss.argmax())
         worst = max(worst, (float(miss[k]), float(points[k + 1]), float(np.abs(bend[k]).max())))
-    if worst[0] < LEAST_MISS_DPS:
-        return Verdict()
     miss_dps, temp_c, largest_bend = worst
-    return Verdict.of(
-        finding(
+    if miss_dps >= LEAST_MISS_DPS:
+        yield finding(
             "drift.bends",
             "warn",
             f"The offset at {temp_c:.1f} degC is {miss_dps:.2g} deg/s off the line between its neighbours: it bends by "
             f"{told_apart(largest_bend, '.2g', MOST_BEND)} (deg/s)/K2 (limit {MOST_BEND:g}).",
             "Check for two devices, set-points in a wrong order or a slow turn, and record that soak again.",
         )
-    )

@@ -13,6 +13,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.errors import NotObservable
+from undrift.findings import Finding
 from undrift.fit.gls import GlsFit, carried
 from undrift.model import G_NAMES, MATRIX_NAMES, OFFSET_NAMES, Budget, TriadModel, Verdict
 from undrift.units import SI_UNIT, Quantity, si_factor
@@ -20,18 +21,27 @@ from undrift.units import SI_UNIT, Quantity, si_factor
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TriadFit:
-    """A fitted triad, its residuals, and its verdict."""
+    """A fitted triad, its residuals, and findings about it."""
 
     model: TriadModel
     residuals: FloatArray  # (E,) or (E, 3), unit_out
-    verdict: Verdict
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def verdict(self) -> Verdict:
+        """Verdict of the findings."""
+        return Verdict.of(*self.findings)
+
+    def also(self, *findings: Finding) -> "TriadFit":
+        """Return the fit with further findings."""
+        return replace(self, findings=(*self.findings, *findings))
 
 
-def triad_fit(residuals: FloatArray, verdict: Verdict = Verdict(), **of_model: Any) -> TriadFit:
-    """Return a fit from its residuals, its verdict, and the remaining fields of its TriadModel."""
+def triad_fit(residuals: FloatArray, *findings: Finding, **of_model: Any) -> TriadFit:
+    """Return a fit from its residuals, findings about it, and the remaining fields of its TriadModel."""
     rms = float(np.sqrt((residuals**2).mean()))
     model = TriadModel(rms_residual=rms, count=residuals.size, **of_model)
-    return TriadFit(model=model, residuals=residuals, verdict=verdict)
+    return TriadFit(model=model, residuals=residuals, findings=findings)
 
 
 def nominal_triad(
@@ -89,8 +99,7 @@ def fit_of(
     parameters: TriadParameters,
     inputs: FloatArray,
     residuals: FloatArray,
-    verdict: Verdict = Verdict(),
-    *,
+    *findings: Finding,
     remainder: str = "noise",
     **names: Any,
 ) -> TriadFit:
@@ -104,7 +113,7 @@ def fit_of(
     g = parameters.g_sensitivity
     return triad_fit(
         residuals,
-        verdict,
+        *findings,
         matrix=parameters.matrix,
         offset=parameters.theta[9:12],
         g_sensitivity=g,
