@@ -73,8 +73,8 @@ def deliver(study: Study, name: str, number: int, folder: Path) -> float:
     (performed,) = perform(study, study.tasks[0], number)
     rise = float(stream(study.seed, study.group, "temperature", number).uniform(*study.excursion_k))
     rng = stream(study.seed, "promised", number)
-    case = make_case(device, performed, simulate_worn(device, performed, temp_c=ROOM_TEMP_C + rise, rng=rng))
-    return pitch_errors_deg(case, calibration, study.offset)[0]
+    case = make_case(simulate_worn(device, performed, temp_c=ROOM_TEMP_C + rise, rng=rng))
+    return float(pitch_errors_deg(case, [calibration], study.offset)[0, 0])
 
 
 def main() -> int:

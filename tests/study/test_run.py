@@ -33,11 +33,11 @@ TASK = draw_task("sit_to_stand", rng=np.random.default_rng(5), rest_s=6.0)
 
 
 def case_of(device, temp_c=25.0, **more):
-    return make_case(device, TASK, simulate_worn(device, TASK, temp_c=temp_c, rng=np.random.default_rng(1)), **more)
+    return make_case(simulate_worn(device, TASK, temp_c=temp_c, rng=np.random.default_rng(1)), **more)
 
 
 def test_an_exact_calibration_at_its_temperature_leaves_noise():
-    aligned, now, largest = pitch_errors_deg(case_of(DEVICE), true_calibration(DEVICE, temp_c=25.0), "rest")
+    aligned, now, largest = pitch_errors_deg(case_of(DEVICE), [true_calibration(DEVICE, temp_c=25.0)], "rest")[0]
     show("exact calibration: rms aligned, real time, largest, deg", (aligned, now, largest))
     assert aligned < 0.15  # 12 bits, and half of the hysteresis over 3 s
     assert now > 2.0 * aligned  # 15 ms at up to 90 deg/s
@@ -49,7 +49,7 @@ def test_pitch_is_the_one_that_correct_and_orient_return():
     case = case_of(DEVICE)
     pitch = orient(correct(case.record, calibration, policy="hold"), case.still, OrientSettings(offset="rest")).pitch
     error = np.degrees(pitch - case.pitch)[case.moving]
-    assert pitch_errors_deg(case, calibration, "rest")[0] == pytest.approx(np.sqrt(np.nanmean(error**2)), abs=1e-9)
+    assert pitch_errors_deg(case, [calibration], "rest")[0, 0] == pytest.approx(np.sqrt(np.nanmean(error**2)), abs=1e-9)
 
 
 def test_the_delay_is_that_of_the_filter_minus_half_a_sample():
@@ -123,7 +123,7 @@ def test_a_fit_from_the_file_leaves_the_same_error(device, tmp_path, monkeypatch
         shipped_fits.cache_clear()
         (case,) = device.cases(STUDY.tasks[0])
         for offset in ("rest", "none"):
-            errors = [pitch_errors_deg(case, each, offset) for each in (calibration, read)]
+            errors = pitch_errors_deg(case, [calibration, read], offset)
             np.testing.assert_allclose(*errors, atol=1e-3)  # deg: a hundredth of the margin
 
 

@@ -5,10 +5,10 @@ Where no thread can be started, as in a browser, the calls run one after the oth
 
 import os
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
-from functools import cache
+from functools import cache, partial
 from multiprocessing import get_context
 from typing import Any
 
@@ -49,7 +49,7 @@ class _Caller(Executor):
 
 @contextmanager
 def executor(workers: int | None = None, scheduler: str | None = None) -> Iterator[Callable[..., Iterator[Any]]]:
-    """Return a ``map`` over processes of this machine, or over the workers of a Dask scheduler."""
+    """Return a ``map`` over this process and others of this machine, or over the workers of a Dask scheduler."""
     if scheduler is not None and workers is not None:
         raise InputError("`scheduler` has its own workers. Omit `workers`.")
     if scheduler is not None:
@@ -71,5 +71,26 @@ def executor(workers: int | None = None, scheduler: str | None = None) -> Iterat
     if count == 1 or not has_threads():
         yield map
         return
-    with ProcessPoolExecutor(count, mp_context=get_context("spawn")) as pool:
-        yield pool.map
+    with ProcessPoolExecutor(count - 1, mp_context=get_context("spawn")) as pool:
+        yield partial(_shared_map, pool)
+
+
+def _shared_map(pool: Executor, fn: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
+    """Return results in order, as ``pool.map``. While the next one is not ready, the caller takes calls from the far end."""
+    items = list(items)
+    futures = [pool.submit(fn, item) for item in items]
+
+    def results() -> Iterator[Any]:
+        own, last = dict[int, Any](), len(items)
+        try:
+            for k, future in enumerate(futures):
+                while k < last and not future.done():
+                    last -= 1
+                    if futures[last].cancel():
+                        own[last] = fn(items[last])
+                yield own.pop(k) if k in own else future.result()
+        finally:
+            for future in futures:
+                future.cancel()
+
+    return results()

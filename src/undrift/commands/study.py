@@ -1,7 +1,7 @@
 """``undrift study``: which calibration session is enough for a task, found with simulated devices and people."""
 
 import io
-from dataclasses import asdict, replace
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -122,5 +122,6 @@ def _planned(plan: Path | None, target_deg: float | None, categories: str | None
 
 def _write_runs(outcome: StudyOutcome, path: Path) -> None:
     buffer = io.BytesIO()
-    pq.write_table(pa.Table.from_pylist([asdict(run) for run in outcome.runs]), buffer)
+    columns = {field.name: [getattr(run, field.name) for run in outcome.runs] for field in fields(Run)}
+    pq.write_table(pa.table(columns), buffer)
     write_whole(path, buffer.getvalue())

@@ -54,7 +54,7 @@ from undrift.errors import InputError, check_choice, check_type
 from undrift.findings import Finding
 from undrift.model import NO_TABLES, Calibration
 from undrift.record import Record
-from undrift.segments import find_turning
+from undrift.segments import NOT_TURNING, find_turning
 
 Buffers: TypeAlias = tuple[FloatArray, FloatArray]  # rate, rad/s, and specific force, m/s2, (N, 3)
 Policy = Literal["raise", "hold", "nan"]
@@ -249,6 +249,27 @@ def _subtract_offset(corrected: Corrected, offset: RemainingOffset, out: Buffers
     return replace(corrected, record=record, rest=offset, findings=(*corrected.findings, *offset.findings))
 
 
+def corrected_arrays(record: Record, calibration: Calibration) -> Buffers:
+    """Return rates and specific forces of ``correct`` with policy hold, without its checks: for many short records."""
+    plans = plan_record(record, calibration)
+    conditions, _ = conditions_of(record, calibration, plans, Carry())
+    outputs = _buffers(len(record), plans, None)
+    _evaluate(record, plans, conditions, outputs, slice(None))
+    _add_rest_offset(record.time, plans, outputs, NOT_TURNING)
+    return outputs
+
+
+def _add_rest_offset(time: FloatArray, plans: Plans, outputs: Buffers, state: tuple[float, ...]) -> tuple[float, ...]:
+    """Add the offset of a device that does not turn (step 6: the constants apply in motion), and return the next state."""
+    rest_offset = None if plans[0] is None else plans[0].at_rest
+    if rest_offset is None:
+        return state
+    outputs[0][:] += rest_offset
+    turning, state = find_turning(outputs[0], time, state)
+    outputs[0][turning > 0.0] -= rest_offset
+    return state
+
+
 def _buffers(n: int, plans: Plans, out: Buffers | None) -> Buffers:
     """Return the output arrays, new or provided by the caller."""
     if out is None:
@@ -340,12 +361,7 @@ class Corrector:
         )
         outputs = _buffers(len(chunk), plans, out)
         spans = in_pieces(partial(_evaluate, chunk, plans, conditions, outputs), len(chunk), threads)
-        rest_offset = None if plans[0] is None else plans[0].at_rest
-        if rest_offset is not None:  # step 6: the constants apply in motion
-            outputs[0][:] += rest_offset
-            turning, state = find_turning(outputs[0], time, carry.turning)
-            outputs[0][turning > 0.0] -= rest_offset
-            coming = replace(coming, turning=state)
+        coming = replace(coming, turning=_add_rest_offset(time, plans, outputs, carry.turning))
         extrapolated = coverage.find_extrapolated(temp_c, plans, outputs)
         if self._policy == "nan" and outside is not None:
             for plan, values in zip(plans, outputs, strict=True):

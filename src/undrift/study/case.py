@@ -11,28 +11,31 @@ A kind of error can be switched off. It is set to zero and not removed, so that 
 """
 
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.correction.correct import correct_checked
+from undrift.correction.correct import correct_checked, corrected_arrays
 from undrift.correction.motion import fit_motion
 from undrift.correction.rest import LEAST_IN_MOTION_S, rest_offset
-from undrift.errors import Implausible
 from undrift.frames import integrate_strapdown
 from undrift.model import Calibration
 from undrift.orientation import GRAVITY_WITHIN, sagittal_pitch, shortest_rotation_up
 from undrift.record import Record, Still
 from undrift.sim.device.effects import BUTTERWORTH, LowPass, Sampling, SensorChain
 from undrift.sim.device.model import DeviceModel
-from undrift.sim.device.simulate import Simulated, simulate_device
+from undrift.sim.device.simulate import simulate_device
 from undrift.sim.motion.motion import Motion
 from undrift.sim.motion.tasks import Task
 from undrift.study.recorded import SAMPLE_RATE_HZ, RecordedTask
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
 
 WORN_S = 1800.0  # the device has been on for half an hour
 REST_S = 6.0  # the note's rest before a motion
@@ -62,6 +65,7 @@ def on_the_clock(device: DeviceModel) -> DeviceModel:
     return device if sampling.on_grid else replace(device, sampling=clock)
 
 
+@lru_cache(maxsize=64)
 def with_cutoff(device: DeviceModel, cutoff_hz: float | None) -> DeviceModel:
     """Return a device that samples with its motion and has a low-pass of this cut-off, within the tolerance of its own parts."""
     device = on_the_clock(device)
@@ -128,6 +132,17 @@ def pitch_delay_s(device: DeviceModel) -> float:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Worn:
+    """A simulated trial of a device."""
+
+    performed: Task | RecordedTask
+    device: DeviceModel
+    record: Record  # readings of the device
+    gyro: FloatArray  # (N, 3), signal before the low-pass, rad/s
+    accel: FloatArray  # (N, 3), signal before the low-pass, m/s2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Case:
     """A trial ready to be corrected and judged."""
 
@@ -146,24 +161,32 @@ def true_motion(performed: Task | RecordedTask) -> Motion:
 
 
 @lru_cache(maxsize=TRIALS_KEPT)
-def _true_pitch(performed: Task | RecordedTask) -> FloatArray:
-    return sagittal_pitch(true_motion(performed).q_nb)
+def _true_pitch(performed: Task | RecordedTask) -> "tuple[FloatArray, CubicSpline | None]":
+    """Return the true pitch (N,), rad, and its spline over the number of the sample."""
+    from scipy.interpolate import CubicSpline
+
+    pitch = sagittal_pitch(true_motion(performed).q_nb)
+    (valid,) = np.nonzero(np.isfinite(pitch))
+    return pitch, CubicSpline(valid, np.unwrap(pitch[valid])) if len(valid) > 1 else None
 
 
 def simulate_worn(
     device: DeviceModel, performed: Task | RecordedTask, *, temp_c: float, rng: np.random.Generator
-) -> Simulated:
+) -> Worn:
     """Simulate a trial of a device that is worn at a board temperature, degC."""
-    return simulate_device(device, true_motion(performed), rng=rng, temp_c=temp_c, power_on_s=WORN_S)
+    simulated = simulate_device(device, true_motion(performed), rng=rng, temp_c=temp_c, power_on_s=WORN_S)
+    gyro, accel = (triad.before("low_pass") for triad in (simulated.gyro, simulated.accel))
+    return Worn(performed=performed, device=device, record=simulated.record, gyro=gyro, accel=accel)
 
 
-def make_case(device: DeviceModel, performed: Task | RecordedTask, worn: Simulated, *, aligned: bool = True) -> Case:
-    """Return the case of a device. Only its low-pass filters may differ from those of the simulated device."""
+def make_case(worn: Worn, device: DeviceModel | None = None, *, aligned: bool = True) -> Case:
+    """Return the case of a trial, or of the same trial with the low-pass filters of another device."""
+    device, performed = device or worn.device, worn.performed
     start, stop = (round(moment * SAMPLE_RATE_HZ) for moment in performed.moving_s)
-    pitch = _true_pitch(performed)
-    delayed = _delayed(pitch, pitch_delay_s(device) * SAMPLE_RATE_HZ)
+    pitch, _ = _true_pitch(performed)
+    delayed = _delayed_pitch(performed, pitch_delay_s(device) * SAMPLE_RATE_HZ)
     return Case(
-        record=_filtered(device, worn),
+        record=worn.record if device is worn.device else _filtered(device, worn),
         pitch_now=pitch if aligned else delayed,
         pitch=delayed,
         still=Still(start=0, stop=max(start - round(REST_ENDS_S * SAMPLE_RATE_HZ), 2)),
@@ -171,50 +194,58 @@ def make_case(device: DeviceModel, performed: Task | RecordedTask, worn: Simulat
     )
 
 
-def _filtered(device: DeviceModel, worn: Simulated) -> Record:
-    """Return the readings of a simulated trial with the low-passes of a device."""
+def _filtered(device: DeviceModel, worn: Worn) -> Record:
+    """Return the readings of a trial with the low-passes of a device."""
     readings = dict[str, Any]()
     for name in ("gyro", "accel"):
-        chain, triad = getattr(device, name), getattr(worn, name)
-        signal = triad.true + sum(x for effect, x in triad.contributions.items() if effect not in ("low_pass", "adc"))
+        chain, signal = getattr(device, name), getattr(worn, name)
         if chain.low_pass is not None:
             signal, _ = chain.low_pass.filtered(signal, 1.0 / SAMPLE_RATE_HZ)
         readings[name] = np.where(np.isnan(getattr(worn.record, name)), np.nan, chain.converted(signal)[0])
     return replace(worn.record, **readings)
 
 
-def _delayed(pitch: FloatArray, samples: float) -> FloatArray:
-    """Return a pitch (N,), rad, delayed by a number of samples, NaN next to gaps."""
-    from scipy.interpolate import CubicSpline
-
-    valid, place = np.isfinite(pitch), np.arange(len(pitch))
-    if valid.sum() < 2 or samples == 0.0:
+def _delayed_pitch(performed: Task | RecordedTask, samples: float) -> FloatArray:
+    """Return the true pitch (N,), rad, delayed by a number of samples, NaN next to gaps."""
+    pitch, spline = _true_pitch(performed)
+    if spline is None or samples == 0.0:
         return pitch
-    at = np.clip(place - samples, 0, len(pitch) - 1)
-    shifted = np.asarray(CubicSpline(place[valid], np.unwrap(pitch[valid]))(at))
-    shifted[~(valid[np.floor(at).astype(int)] & valid[np.ceil(at).astype(int)])] = np.nan
+    valid, at = np.isfinite(pitch), np.clip(np.arange(len(pitch)) - samples, 0, len(pitch) - 1)
+    shifted = np.asarray(spline(at))
+    if not valid.all():
+        shifted[~(valid[np.floor(at).astype(int)] & valid[np.ceil(at).astype(int)])] = np.nan
     return shifted
 
 
-def pitch_errors_deg(case: Case, calibration: Calibration, offset: OffsetRule) -> tuple[float, float, float]:
-    """Return the errors of the pitch over the motion, deg: rms aligned, rms in real time, largest aligned.
+def pitch_errors_deg(case: Case, calibrations: Sequence[Calibration | None], offset: OffsetRule) -> FloatArray:
+    """Return the errors of the pitch over the motion with each calibration, (K, 3), deg.
 
-    Raises Implausible if the calibrated accelerometers do not measure gravity at rest.
+    The columns are rms aligned, rms in real time, and largest aligned. A row is NaN without a calibration, and if the calibrated
+    accelerometers do not measure gravity at rest.
     """
-    record = correct_checked(case.record, calibration, policy="hold", threads=1, check=False).record
-    rates, forces, rest = np.asarray(record.gyro), np.asarray(record.accel), slice(case.still.start, case.still.stop)
-    upward = forces[rest].mean(axis=0)
-    length = float(np.linalg.norm(upward))
-    if not abs(length / STANDARD_GRAVITY - 1.0) <= GRAVITY_WITHIN:
-        raise Implausible(f"trial: the corrected specific force at rest is {length:.3g} m/s2. Calibrate again.")
-    if offset == "rest" or (offset == "motion" and record.duration_s < LEAST_IN_MOTION_S):
-        rates = rates - rates[rest].mean(axis=0)
-    elif offset == "motion":
-        remainder = fit_motion(record, rest_offset(record, case.still), calibration.gyro).offset
-        rates = rates - remainder.at(record.time)
-    start = case.still.stop - 1  # the tilt of the rest holds at its end, and strapdown begins there
-    pitch = sagittal_pitch(integrate_strapdown(rates[start:], record.time[start:], shortest_rotation_up(upward)))
-    moving = slice(case.moving.start - start, case.moving.stop - start)
-    errors = ((pitch - true[start:] + np.pi) % (2.0 * np.pi) - np.pi for true in (case.pitch, case.pitch_now))
-    aligned, now = (error[moving] / RADIAN_PER_DEGREE for error in errors)
-    return float(np.sqrt(np.nanmean(aligned**2))), float(np.sqrt(np.nanmean(now**2))), float(np.nanmax(np.abs(aligned)))
+    out, rows, turns = np.full((len(calibrations), 3), np.nan), list[int](), list[FloatArray]()
+    rest, start = slice(case.still.start, case.still.stop), case.still.stop - 1
+    for row, calibration in enumerate(calibrations):
+        if calibration is None:
+            continue
+        rates, forces = corrected_arrays(case.record, calibration)
+        upward = forces[rest].mean(axis=0)
+        if not abs(float(np.linalg.norm(upward)) / STANDARD_GRAVITY - 1.0) <= GRAVITY_WITHIN:
+            continue
+        if offset == "rest" or (offset == "motion" and case.record.duration_s < LEAST_IN_MOTION_S):
+            rates = rates - rates[rest].mean(axis=0)
+        elif offset == "motion":
+            record = correct_checked(case.record, calibration, policy="hold", threads=1, check=False).record
+            remainder = fit_motion(record, rest_offset(record, case.still), calibration.gyro).offset
+            rates = rates - remainder.at(record.time)
+        # the tilt of the rest holds at its end, and strapdown begins there
+        turns.append(integrate_strapdown(rates[start:], case.record.time[start:], shortest_rotation_up(upward)))
+        rows.append(row)
+    if rows:
+        moving = slice(case.moving.start, case.moving.stop)
+        pitch = sagittal_pitch(np.array(turns)[:, moving.start - start : moving.stop - start])
+        errors = ((pitch - true[moving] + np.pi) % (2.0 * np.pi) - np.pi for true in (case.pitch, case.pitch_now))
+        aligned, now = (error / RADIAN_PER_DEGREE for error in errors)
+        squares = (np.nanmean(aligned**2, axis=1), np.nanmean(now**2, axis=1))
+        out[rows] = np.column_stack((*np.sqrt(squares), np.nanmax(np.abs(aligned), axis=1)))
+    return out

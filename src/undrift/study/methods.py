@@ -192,20 +192,13 @@ def fit_rival(rival: Rival, device: StudyDevice) -> Calibration | None:
 def _one_device(study: Study, number: int) -> list[tuple[list[float], float]]:
     """Return the errors of each method in the tasks and of the tilt, deg, NaN if it could not calibrate the device."""
     device = StudyDevice(study, number)
-    truth = true_calibration(device.worn, temp_c=ROOM_TEMP_C)
-    rows = []
-    for method in (*OWN, *RIVALS):
-        if method in SESSIONS:
-            calibration = device.calibration(SESSIONS[method])
-        else:
-            calibration = device.recall(method, partial(fit_rival, method, device))  # type: ignore[arg-type]
-        errors, tilt = [float("nan")] * len(study.tasks), float("nan")
-        if calibration is not None:
-            with suppress(CalibrationError):
-                errors = [pitch_errors_deg(device.cases(task)[0], calibration, study.offset)[0] for task in study.tasks]
-                tilt = _tilt_deg(calibration.accel, truth.accel)
-        rows.append((errors, tilt))
-    return rows
+    truth = true_calibration(device.worn, temp_c=ROOM_TEMP_C).accel
+    own = [device.calibration(SESSIONS[method]) for method in OWN]
+    fits = own + [device.recall(rival, partial(fit_rival, rival, device)) for rival in RIVALS]
+    errors = np.array([pitch_errors_deg(device.cases(task)[0], fits, study.offset)[:, 0] for task in study.tasks])
+    failed = np.isnan(errors).any(axis=0)  # not calibrated, or the accelerometers do not measure gravity
+    tilts = [_tilt_deg(None if bad or fit is None else fit.accel, truth) for fit, bad in zip(fits, failed, strict=True)]
+    return list(zip(errors.T.tolist(), tilts, strict=True))
 
 
 DIRECTIONS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])

@@ -12,6 +12,7 @@ import json
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -176,9 +177,7 @@ class Study(Frame):
         """Return the device that a subject wears, without the errors of assumed size if ``assumed`` is False."""
         if self.worn:
             return device_from_json(json.loads(self.worn))
-        grade = grade_of(self.device)
-        rng = stream(self.seed, self.group, "device", number)
-        return random_device(rng, grade=grade if assumed else without_assumed(grade))
+        return _drawn_unit(self.device, self.seed, self.group, number, assumed)
 
     def typical_unit(self) -> DeviceModel:
         """Return the device of the study, or the typical unit of its kind."""
@@ -191,6 +190,13 @@ class Study(Frame):
     def other(self) -> "Study":
         """Return the study with the other group of people and other devices."""
         return replace(self, group="testing" if self.group == "simulation" else "simulation")
+
+
+@lru_cache(maxsize=SUBJECTS)
+def _drawn_unit(kind: str, seed: int, group: Group, number: int, assumed: bool) -> DeviceModel:
+    grade = grade_of(kind)
+    rng = stream(seed, group, "device", number)
+    return random_device(rng, grade=grade if assumed else without_assumed(grade))
 
 
 def with_categories(study: Study, categories: Sequence[str]) -> Study:

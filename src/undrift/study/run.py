@@ -11,14 +11,15 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
+from itertools import groupby
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 
 from undrift.errors import CalibrationError
 from undrift.model import Calibration
-from undrift.sim.device.simulate import Simulated
-from undrift.sim.motion.tasks import Group, Kind, Task, cohort, draw_task
+from undrift.sim.motion.tasks import GROUP_SIZE, Group, Kind, Subject, Task, cohort, draw_task
 from undrift.study.case import (
     ASSUMED,
     EFFECTS,
@@ -27,6 +28,7 @@ from undrift.study.case import (
     Case,
     EffectName,
     OffsetRule,
+    Worn,
     device_without,
     make_case,
     pitch_errors_deg,
@@ -79,9 +81,14 @@ def perform(study: Study, task: StudyTask, number: int) -> list[Task | RecordedT
 
 @lru_cache(maxsize=TRIALS_KEPT)
 def _drawn(seed: int, group: Group, task: str, kind: Kind, number: int) -> Task:
-    people = cohort(group, rng=stream(seed, "cohort", group, number // 30), category=kind)
-    rng, subject = stream(seed, group, "task", task, number), people[number % len(people)]
+    people = _people(seed, group, kind, number // GROUP_SIZE)
+    rng, subject = stream(seed, group, "task", task, number), people[number % GROUP_SIZE]
     return draw_task(task, rng=rng, subject=subject, rest_s=REST_S)  # type: ignore[arg-type]
+
+
+@lru_cache(maxsize=TRIALS_KEPT)
+def _people(seed: int, group: Group, kind: Kind, number: int) -> tuple[Subject, ...]:
+    return cohort(group, rng=stream(seed, "cohort", group, number), category=kind)
 
 
 class StudyDevice:
@@ -98,7 +105,7 @@ class StudyDevice:
         self.streams = partial(stream, study.seed, study.group, "bench", number)
         self._calibrations: dict[str, Calibration | None] = {}
         self._before_soaks: dict[CalibrationSession, Calibration] = {}
-        self._worn: dict[tuple[str, float], list[tuple[Task | RecordedTask, Simulated]]] = {}
+        self._worn: dict[tuple[str, float], list[Worn]] = {}
         self._cases: dict[tuple[str, float | None, float], list[Case]] = {}
 
     def key(self, session: CalibrationSession | str) -> int:
@@ -138,20 +145,21 @@ class StudyDevice:
         rise = self.rise_k if excursion_k is None else excursion_k
         key = task.key, cutoff_hz, rise
         if key not in self._cases:
-            device = with_cutoff(self.model, cutoff_hz)
-            trials = self._worn_trials(task, rise)
-            self._cases[key] = [make_case(device, *trial, aligned=self.aligned) for trial in trials]
+            device = self.worn if cutoff_hz is None else with_cutoff(self.model, cutoff_hz)
+            self._cases[key] = [
+                make_case(trial, device, aligned=self.aligned) for trial in self._worn_trials(task, rise)
+            ]
         return self._cases[key]
 
-    def _worn_trials(self, task: StudyTask, rise_k: float) -> list[tuple[Task | RecordedTask, Simulated]]:
+    def _worn_trials(self, task: StudyTask, rise_k: float) -> list[Worn]:
         """Return what the device's person performs in a task, with the signals of the device."""
         key, study = (task.key, rise_k), self.study
         if key not in self._worn:
             self._worn[key] = [
-                (performed, simulate_worn(
+                simulate_worn(
                     self.worn, performed, temp_c=ROOM_TEMP_C + rise_k,
                     rng=stream(study.seed, study.group, "noise", task.name, self.number, place),
-                ))
+                )
                 for place, performed in enumerate(perform(study, task, self.number))
             ]  # fmt: skip
         return self._worn[key]
@@ -167,18 +175,16 @@ class StudyDevice:
         offset: OffsetRule | None = None,
     ) -> Iterator[Run]:
         """Yield the errors of a task for each session. All sessions use the same trials."""
-        cases = self.cases(task, cutoff_hz=cutoff_hz, excursion_k=excursion_k)
         rule = offset or self.study.offset
-        for session in sessions:
-            calibration, errors = self.calibration(session), np.full(3, np.nan)
-            if calibration is not None:
-                with suppress(CalibrationError):  # such as accelerometers that do not measure gravity
-                    errors = np.mean([pitch_errors_deg(case, calibration, rule) for case in cases], axis=0)
+        calibrations = [self.calibration(session) for session in sessions]
+        cases = self.cases(task, cutoff_hz=cutoff_hz, excursion_k=excursion_k)
+        errors = np.mean([pitch_errors_deg(case, calibrations, rule) for case in cases], axis=0)
+        for session, (rms, now, largest) in zip(sessions, errors.tolist(), strict=True):
             yield Run(
                 task=task.key, subject=self.number, session=session.name, offset=rule, role=role,
                 excursion_k=self.rise_k if excursion_k is None else excursion_k,
                 cutoff_hz=float("nan") if cutoff_hz is None else cutoff_hz,
-                rms_deg=float(errors[0]), real_time_deg=float(errors[1]), largest_deg=float(errors[2]),
+                rms_deg=rms, real_time_deg=now, largest_deg=largest,
             )  # fmt: skip
 
 
@@ -187,9 +193,9 @@ def run_device(study: Study, number: int) -> list[Run]:
     device, runs = StudyDevice(study, number), list[Run]()
     for task in study.tasks:
         runs += device.runs(task, study.sessions, "session")
-        tried = dict.fromkeys((numbers.session(), numbers.cutoff_hz) for _, _, numbers in task.variations())
-        for session, cutoff_hz in tried:
-            runs += device.runs(task, (session,), "try", cutoff_hz=cutoff_hz)
+        tried = dict.fromkeys((numbers.cutoff_hz, numbers.session()) for _, _, numbers in task.variations())
+        for cutoff_hz, pairs in groupby(sorted(tried, key=itemgetter(0)), key=itemgetter(0)):
+            runs += device.runs(task, [session for _, session in pairs], "try", cutoff_hz=cutoff_hz)
     first = study.tasks[0]
     for rise in SENSITIVITY_K:
         runs += device.runs(first, study.sessions, "sensitivity", excursion_k=rise)

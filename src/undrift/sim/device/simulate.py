@@ -72,6 +72,12 @@ class SimulatedTriad:
         """Return the contribution of an effect, (M, 3)."""
         return self.contributions.get(effect, np.zeros_like(self.true))
 
+    def before(self, effect: str) -> FloatArray:
+        """Return the signal before an effect, (M, 3), or the last signal if the device does not have the effect."""
+        names = list(self.contributions)
+        before = names[: names.index(effect)] if effect in names else names
+        return self.true + sum(self.contributions[name] for name in before if name != "adc")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Simulated:
