@@ -8,7 +8,7 @@ import pytest
 from testkit.data import show
 from undrift.errors import InputError
 from undrift.study.judge import adjust_holm, errors_of, judge, judge_parameters, repeated_measures_anova, with_test
-from undrift.study.plan import NoteNumbers, Study, StudyTask
+from undrift.study.plan import Study, StudyTask, TryEntry
 from undrift.study.run import Run
 from undrift.study.sessions import SESSIONS
 
@@ -45,7 +45,7 @@ def test_holm_by_hand():
     np.testing.assert_allclose(adjust_holm([0.01, 0.04, 0.03]), [0.03, 0.06, 0.06])
 
 
-NUMBERS = NoteNumbers(cutoff_hz=11.1, turn_rate_step_dps=5.0, turn_rate_min_dps=5.0, turn_rate_max_dps=90.0)
+TRIED = TryEntry(turn_rate_step_dps=(5.0, 17.0), turn_rate_max_dps=(90.0, 50.0))
 TASKS = (StudyTask(name="sit_to_stand"), StudyTask(name="step"))
 CHOSEN = ("hand", "three rates", "note")
 STUDY = Study(tasks=TASKS, sessions=tuple(SESSIONS[name] for name in CHOSEN), target_deg=(0.1, 0.5, 1.0))
@@ -108,8 +108,7 @@ def test_real_time_is_judged_if_it_is_asked_for():
 
 def test_a_number_that_does_not_matter_is_indifferent_however_small_p_is():
     """A step changes all errors by 0.01 deg: p is tiny, the difference far below the margin."""
-    values = (("turn_rate_step_dps", (17.0,)), ("turn_rate_max_dps", (50.0,)))
-    task = StudyTask(name="step", around=NUMBERS, values=values)
+    task = StudyTask(name="step", tried=TRIED)
     rng, runs = np.random.default_rng(7), []
     for parameter, value, numbers in task.variations():
         effect = {("turn_rate_step_dps", 17.0): 0.01, ("turn_rate_max_dps", 50.0): -0.3}.get((parameter, value), 0.0)

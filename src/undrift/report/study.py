@@ -231,7 +231,7 @@ def _table_1(task: TaskOutcome) -> list[Table]:
         "margin of the study, because p falls with every device that is added."
     )
     for key, row in TABLE_1.items():
-        if key == task.task.name and task.task.around == row.numbers:
+        if key == task.task.name and task.task.tried and task.task.tried.around == row.numbers:
             note += f" The p of this row in the note is {row.p_value:g}." + (f" {row.erratum}" if row.erratum else "")
     columns = ("parameter", "value", "mean error (deg)", "span (deg)", "F", "p", "p (Holm)", "verdict")
     form = {"value": "g", "mean error (deg)": ".3f", "span (deg)": ".3f", "F": ".2f", "p": ".2g", "p (Holm)": ".2g"}

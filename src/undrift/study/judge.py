@@ -212,7 +212,7 @@ def find_answers(study: Study, rows: Sequence[Sequence[SessionErrors]]) -> tuple
 
 def judge_parameters(study: Study, runs: Sequence[Run], task: StudyTask) -> tuple[ParameterEffect, ...]:
     """Return the effect of each of the note's four numbers on the error, with constant values of the other three."""
-    if task.around is None:
+    if task.tried is None:
         return ()
     tried = {
         (run.session, run.cutoff_hz, run.subject): run for run in runs if run.task == task.key and run.role == "try"
@@ -231,7 +231,7 @@ def judge_parameters(study: Study, runs: Sequence[Run], task: StudyTask) -> tupl
                 anova = repeated_measures_anova(table)
             except InputError:
                 anova = None
-        default = getattr(task.around, parameter)
+        default = getattr(task.tried.around, parameter)
         place = [value for value, _ in values].index(default)
         differences = tuple(
             decide_between(table[:, k], table[:, place], margin=study.margin_deg, tests=len(values) - 1)

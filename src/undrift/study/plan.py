@@ -31,6 +31,7 @@ from undrift.study.sessions import SESSIONS, CalibrationSession, Fit, table_prot
 from undrift.units import RADIAN_PER_DEGREE
 
 Positive = Annotated[float, Gt(0.0)]
+Values = tuple[float, ...]
 Timing = Literal["aligned", "real time"]
 DEVICE = "enc03j_3031"  # the note's
 MARGIN_DEG = 0.087  # 0.15 deg at most, as simulated and actual device differ in the note's Figure 3, of an error that grows evenly
@@ -76,6 +77,22 @@ class NoteNumbers:
         return CalibrationSession(name=name, kind="table", protocol=table_protocol(name, *rates), by_means=True)
 
 
+@stored()
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TryEntry:
+    """[task.tried]: values of the note's four numbers. The others are tried one at a time around the first value of each list."""
+
+    cutoff_hz: Annotated[tuple[Positive, ...], MinLen(1)] = (11.1,)
+    turn_rate_step_dps: Annotated[tuple[Positive, ...], MinLen(1)] = (5.0,)
+    turn_rate_min_dps: Annotated[tuple[Positive, ...], MinLen(1)] = (5.0,)
+    turn_rate_max_dps: Annotated[tuple[Positive, ...], MinLen(1)] = (90.0,)
+
+    @property
+    def around(self) -> NoteNumbers:
+        """First value of each list."""
+        return NoteNumbers(**{name: getattr(self, name)[0] for name in PARAMETERS})
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StudyTask:
     """One task of a study."""
@@ -83,8 +100,7 @@ class StudyTask:
     name: str  # sit_to_stand, step, posturography or free (any word for recorded people)
     category: str = DEFAULT  # of the people who perform it
     motion: RecordedPeople | None = None  # recorded people in place of the library's task
-    around: NoteNumbers | None = None  # the note's numbers; others are tried around them
-    values: tuple[tuple[Parameter, tuple[float, ...]], ...] = ()  # values to try, one parameter at a time
+    tried: TryEntry | None = None  # values of the note's numbers
 
     @property
     def key(self) -> str:
@@ -101,13 +117,13 @@ class StudyTask:
             numbers[2].session()
 
     def variations(self) -> Iterator[tuple[Parameter, float, NoteNumbers]]:
-        """Yield each parameter and value with the four numbers, of which one is varied. The first value is the default."""
-        if self.around is None:
+        """Yield each parameter with several values, and each value with the four numbers, of which one is varied."""
+        if self.tried is None:
             return
-        for parameter, values in self.values:
-            default = getattr(self.around, parameter)
-            for value in sorted({default, *values}):
-                yield parameter, value, replace(self.around, **{parameter: value})
+        for parameter in PARAMETERS:
+            values = getattr(self.tried, parameter)
+            for value in sorted({*values}) if len(values) > 1 else ():
+                yield parameter, value, replace(self.tried.around, **{parameter: value})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -217,54 +233,42 @@ def _crossed(task: StudyTask, categories: Sequence[str]) -> tuple[StudyTask, ...
 
 @dataclass(frozen=True, slots=True)
 class NoteRow:
-    """A row of the note's Table 1."""
+    """A row of the note's Table 1, with the values that are tried in addition to the note's."""
 
-    numbers: NoteNumbers
+    tried: TryEntry
     p_value: float  # printed as statistical significance
     erratum: str = ""
 
+    @property
+    def numbers(self) -> NoteNumbers:
+        """Values of the note."""
+        return self.tried.around
 
-def _row(cutoff: float, step: float, low: float, high: float, p: float, erratum: str = "") -> NoteRow:
-    numbers = NoteNumbers(cutoff_hz=cutoff, turn_rate_step_dps=step, turn_rate_min_dps=low, turn_rate_max_dps=high)
-    return NoteRow(numbers, p, erratum)
+
+def _row(cutoff: float, step: Values, low: Values, high: Values, p: float, erratum: str = "") -> NoteRow:
+    cutoffs = (cutoff, 5.0, 8.0, 14.0, 20.0, 40.0)
+    tried = TryEntry(cutoff_hz=cutoffs, turn_rate_step_dps=step, turn_rate_min_dps=low, turn_rate_max_dps=high)
+    return NoteRow(tried, p, erratum)
 
 
+# Cut-off, steps, omega_m and omega_M, each with the value of the note first, and p. Each step divides the span. Less than a count
+# in 0.1 s, 0.09 deg/s, cannot be imposed, so the posturography has no smaller rates than the note's.
+ERRATUM = "It prints 111.4 Hz, read here as 11.4 Hz: between the other two."
 TABLE_1: dict[TaskName, NoteRow] = {
-    "sit_to_stand": _row(11.1, 5.0, 5.0, 90.0, 0.048),
-    "step": _row(11.4, 3.0, 3.0, 45.0, 0.040, "It prints 111.4 Hz, read here as 11.4 Hz: between the other two."),
-    "posturography": _row(11.5, 0.1, 0.1, 5.0, 0.049),
-}
-CUTOFFS_HZ = (5.0, 8.0, 14.0, 20.0, 40.0)
-# step, omega_m and omega_M in addition to the note's values. Each step divides the span. Less than a count in 0.1 s, 0.09 deg/s,
-# cannot be imposed, so the posturography has no smaller rates than the note's.
-TRIED: dict[TaskName, tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]] = {
-    "sit_to_stand": ((2.5, 17.0), (10.0, 20.0), (50.0, 110.0)),
-    "step": ((1.5, 14.0), (6.0, 12.0), (24.0, 57.0)),
-    "posturography": ((0.7, 4.9), (0.2, 0.8), (3.6, 10.0)),
+    "sit_to_stand": _row(11.1, (5.0, 2.5, 17.0), (5.0, 10.0, 20.0), (90.0, 50.0, 110.0), 0.048),
+    "step": _row(11.4, (3.0, 1.5, 14.0), (3.0, 6.0, 12.0), (45.0, 24.0, 57.0), 0.040, ERRATUM),
+    "posturography": _row(11.5, (0.1, 0.7, 4.9), (0.1, 0.2, 0.8), (5.0, 3.6, 10.0), 0.049),
 }
 
 
 def note_study() -> Study:
     """Return the note's study: its three tasks, its fits, its rates tried one at a time."""
-    tasks = []
-    for name, row in TABLE_1.items():
-        values = zip(PARAMETERS, (CUTOFFS_HZ, *TRIED[name]), strict=True)
-        tasks.append(StudyTask(name=name, around=row.numbers, values=tuple(values)))
-    return Study(name="note", tasks=tuple(tasks), fit="paper")
+    return Study(
+        name="note", tasks=tuple(StudyTask(name=name, tried=row.tried) for name, row in TABLE_1.items()), fit="paper"
+    )
 
 
 # ---- study.toml
-
-
-@stored()
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TryEntry:
-    """[task.tried]: the note's four numbers, each list begins with the value around which the others are tried."""
-
-    cutoff_hz: Annotated[tuple[Positive, ...], MinLen(1)] = (11.1,)
-    turn_rate_step_dps: Annotated[tuple[Positive, ...], MinLen(1)] = (5.0,)
-    turn_rate_min_dps: Annotated[tuple[Positive, ...], MinLen(1)] = (5.0,)
-    turn_rate_max_dps: Annotated[tuple[Positive, ...], MinLen(1)] = (90.0,)
 
 
 @stored()
@@ -357,9 +361,4 @@ def _task(entry: TaskEntry, folder: Path) -> StudyTask:
     if entry.motion is not None and entry.category:
         raise InputError(f"{entry.name}: recorded people have no category. Remove `category`.")
     motion = None if entry.motion is None else recorded_people(entry.motion, folder)
-    if entry.tried is None:
-        return StudyTask(name=entry.name, motion=motion)
-    lists = {name: getattr(entry.tried, name) for name in PARAMETERS}
-    around = NoteNumbers(**{name: values[0] for name, values in lists.items()})
-    tried = tuple((name, values[1:]) for name, values in lists.items() if len(values) > 1)
-    return StudyTask(name=entry.name, motion=motion, around=around, values=tried)
+    return StudyTask(name=entry.name, motion=motion, tried=entry.tried)
