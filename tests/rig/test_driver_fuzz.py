@@ -10,7 +10,7 @@ import pytest
 
 from testkit.cards import Board, Card
 from testkit.data import show
-from testkit.scripted_server import VirtualScripted
+from testkit.scripted_server import Scripted
 from testkit.virtual_clock import VirtualClock
 from undrift.errors import LinkError, RigError, RigFault, RigTimeout
 from undrift.rig.galil import GalilRig
@@ -63,7 +63,7 @@ class PoorLine:
     def __init__(self, driver, seed, share):
         self.controller, self.share, self.chance = driver.controller(), share, random.Random(seed)
         self.clock, self.armed, self.spoilt, self.begun = VirtualClock(), False, Counter(), set()
-        self.server = VirtualScripted(self, self.clock, **driver.line)
+        self.server = Scripted(self, self.clock, **driver.line)
 
     def __call__(self, command):
         if not self.armed or self.chance.random() >= self.share:

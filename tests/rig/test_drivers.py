@@ -61,7 +61,7 @@ def test_bad_answer_stops_the_table_and_says_so(kind, command, bad):
 
 
 def test_silent_controller_is_reported_unconfirmed(bench):
-    bench.server._answer = lambda command: None
+    bench.server.answer = lambda command: None
     with pytest.raises(RigTimeout, match=LOST):
         bench.rig.turn_for(1.0, 2.0)
     with pytest.raises(LinkError, match=LOST):

@@ -7,7 +7,7 @@ import pytest
 
 from testkit.cards import Card
 from testkit.driver_bench import DriverBench
-from testkit.scripted_server import VirtualScripted, transcript
+from testkit.scripted_server import Scripted, transcript
 from testkit.virtual_clock import VirtualClock
 from undrift.errors import LimitError, LinkError, RigFault, RigTimeout
 from undrift.rig import link as link_module
@@ -35,7 +35,7 @@ class Unprepared(GalilRig):
 def talk(answer, axis="X"):
     """Return the rig of a card behind a scripted server, before any question."""
     clock = VirtualClock()
-    return Unprepared(VirtualScripted(answer, clock).url, RigSettings(axis=axis, reply_timeout_s=20.0, clock=clock))
+    return Unprepared(Scripted(answer, clock).url, RigSettings(axis=axis, reply_timeout_s=20.0, clock=clock))
 
 
 # dmc1700 manual, chapter 5: lower case is refused and TC1 says why; dmc2x00 chapter 5: PR and its question
@@ -112,9 +112,9 @@ def test_refusal_without_a_code_is_an_error():
 
 def test_resynchronising_discards_late_answers():
     clock = VirtualClock()
-    server = VirtualScripted(Card(), clock)
+    server = Scripted(Card(), clock)
     card = Unprepared(server.url, RigSettings(clock=clock))
-    server.line.sendall(b" 1\r\n: 2\r\n:?")
+    server.line.say(b" 1\r\n: 2\r\n:?")
     card._resynchronise()
     assert card.read("is off") == 1.0
 
@@ -159,7 +159,7 @@ def test_turn_starts_nothing_if_a_number_is_not_read_back(bench, word, lost):
     def poor_line(command):
         return bench.controller(re.sub(lost, "", command) if re.match(word + " -?\\d", command) else command)
 
-    bench.server._answer = poor_line
+    bench.server.answer = poor_line
     with pytest.raises(LinkError, match=f"set {word} to"):
         bench.rig.turn_for(-1.0, 2.0)
     assert bench.controller.moving == 0

@@ -57,7 +57,7 @@ class Faulty:
     def __init__(self, fault, controller=TurningCard):
         self.fault, self.now, self.bench = fault, "", simulated()
         self.card, self.chance, self.late = controller(self.bench), random.Random(1), None
-        self.card.server._answer = self.answer
+        self.card.server.answer = self.answer
 
     def answer(self, command):
         """Return what comes through the wire of the card's answer."""

@@ -141,7 +141,7 @@ def test_a_table_whose_program_died_comes_to_rest_within_the_dwell(tmp_path, con
     def die(progress):
         if (progress.phase, progress.number) == (phase, 4):
             assert abs(bench.turn_rate()) > 25.0 * DPS
-            card.server._answer = lambda command: None
+            card.server.answer = lambda command: None
             died.append(bench.now())
             raise KeyboardInterrupt
 

@@ -6,11 +6,8 @@ table of a simulated bench, in the bench's time: whole runs go through a driver 
 
 import math
 import re
-import threading
-from typing import Any
 
-from testkit.scripted_server import Scripted, VirtualScripted
-from testkit.virtual_clock import VirtualClock
+from testkit.scripted_server import Scripted
 from undrift.rig.simulated import SimulatedBench
 
 # ---- Galil
@@ -97,7 +94,7 @@ class TurningCard(Card):
 
     def __init__(self, bench: SimulatedBench) -> None:
         super().__init__()
-        self.bench, self.lock, self.fault, self.server = bench, threading.RLock(), "", served(self, bench)
+        self.bench, self.fault, self.server = bench, "", Scripted(self, bench.clock)
         self.address = f"galil:{self.server.url}"
         self.start()
 
@@ -107,10 +104,6 @@ class TurningCard(Card):
         period_us = 1e6 * self.bench.servo.settings.period_s
         self.held = {"AC": "256000", "DC": "256000", "TM": f"{period_us:.0f}", "KP": str(kp), "KI": "0", "KD": str(kd)}
         self.on, self.why = False, 1
-
-    def __call__(self, command: str) -> bytes | None:
-        with self.lock:
-            return super().__call__(command)
 
     def answer(self, command: str) -> bytes:
         bench, servo = self.bench, self.bench.servo
@@ -158,12 +151,6 @@ class TurningCard(Card):
         """Refuse a command for a reason."""
         self.code = code
         return b"?"
-
-
-def served(card: Any, bench: SimulatedBench, **how: Any) -> Scripted:
-    """Make a controller reachable: within the bench's clock or, on the host's clock, over a real socket."""
-    clock = bench.clock
-    return VirtualScripted(card, clock, **how) if isinstance(clock, VirtualClock) else Scripted(card, **how)
 
 
 # ---- GRBL
@@ -228,7 +215,7 @@ class TurningBoard(Board):
     def __init__(self, bench: SimulatedBench) -> None:
         super().__init__()
         self.bench, self.fault = bench, ""
-        self.server = served(self, bench, terminator=b"\n", at_once="?!~\x18\x85")
+        self.server = Scripted(self, bench.clock, terminator=b"\n", at_once="?!~\x18\x85")
         self.address = f"grbl:{self.server.url}"
 
     def __call__(self, command: str) -> bytes | None:

@@ -3,7 +3,7 @@
 import contextlib
 
 from testkit.cards import Board, Card
-from testkit.scripted_server import VirtualScripted
+from testkit.scripted_server import Scripted
 from testkit.virtual_clock import VirtualClock
 from undrift.errors import LinkError
 from undrift.rig.galil import GalilRig
@@ -22,7 +22,7 @@ class DriverBench:
     def __init__(self, kind, controller=None, *, reply_timeout_s=20.0, **settings):
         made, rig, line = KINDS[kind]
         self.kind, self.controller, self.clock = kind, controller or made(), VirtualClock()
-        self.server = VirtualScripted(self.controller, self.clock, **line)
+        self.server = Scripted(self.controller, self.clock, **line)
         self.rig = rig(self.server.url, RigSettings(clock=self.clock, reply_timeout_s=reply_timeout_s, **settings))
         self.opening = [*self.server.heard]
         self.server.heard.clear()
@@ -33,7 +33,6 @@ class DriverBench:
     def __exit__(self, *failure):
         with contextlib.suppress(LinkError):
             self.rig.close()
-        self.server.close()
 
     def at_rest(self):
         """Return whether the controller has no move, and its motor is off."""

@@ -52,18 +52,10 @@ def stopping_on_signals() -> Iterator[None]:
 def uninterrupted() -> Iterator[None]:
     """Delay signals until the end of the block. The first signal then goes to the previous handler."""
     received: list[int] = []
-
-    def note(number: int, frame: FrameType | None) -> None:
-        received.append(number)
-
-    with _handled(note):
+    with _handled(lambda number, frame: received.append(number)):
         yield
     if received:
-        handler = signal.getsignal(received[0])
-        if callable(handler):
-            handler(received[0], None)
-        elif handler != signal.SIG_IGN:
-            raise KeyboardInterrupt(f"stopped by {signal.Signals(received[0]).name}")
+        signal.raise_signal(received[0])
 
 
 @contextmanager
@@ -106,8 +98,7 @@ def one_run(address: str, what: str) -> Iterator[None]:
     if not _has_lock(address):
         yield
         return
-    handle = _open_lock(address)
-    try:
+    with _lock_file(address) as handle:
         if not _is_locked(handle, LOCK_S):
             holder = os.pread(handle, 300, 0).decode("utf-8", "replace").strip()
             raise RigFault(
@@ -117,22 +108,17 @@ def one_run(address: str, what: str) -> Iterator[None]:
             os.truncate(handle, 0)
             os.pwrite(handle, f"{what} (process {os.getpid()} of {getpass.getuser()})\n".encode(), 0)
         yield
-    finally:
-        os.close(handle)
 
 
 def stop_rig(address: str, settings: RigSettings = RigSettings()) -> None:
     """End the run of this user that drives a table on this computer, then stop the table and switch its motor off."""
     if _has_lock(address):
-        handle = _open_lock(address)
-        try:
+        with _lock_file(address) as handle:
             holder = re.search(rb"\(process (\d+) of", os.pread(handle, 300, 0))
             if holder is not None and not _is_locked(handle, LOCK_S):
                 with contextlib.suppress(ProcessLookupError, PermissionError):  # it has ended, or is another user's
                     os.kill(int(holder[1]), signal.SIGTERM)
                 HOST.until(lambda: _is_locked(handle, 0.0), END_S)
-        finally:
-            os.close(handle)
     open_rig(address, settings).close()
 
 
@@ -141,13 +127,20 @@ def _has_lock(address: str) -> bool:
     return os.name == "posix" and parse_address(address)[0] not in ("manual", "simulated")
 
 
-def _open_lock(address: str) -> int:
-    """Open the lock file of a table, and return its handle. The file of another user can be read and locked."""
+@contextmanager
+def _lock_file(address: str) -> Iterator[int]:
+    """Open the lock file of a table within the block. The file of another user can be read and locked."""
     path = Path("/tmp", f"undrift-rig-{hashlib.sha256(place_of(address).encode()).hexdigest()[:24]}")
     for flags in (os.O_RDWR, os.O_RDONLY, os.O_RDWR | os.O_CREAT):
         with contextlib.suppress(OSError):
-            return os.open(path, flags | os.O_NOFOLLOW, 0o644)
-    raise InputError(f"{path}: cannot create the lock file of the table. Correct the permissions of the folder.")
+            handle = os.open(path, flags | os.O_NOFOLLOW, 0o644)
+            break
+    else:
+        raise InputError(f"{path}: cannot create the lock file of the table. Correct the permissions of the folder.")
+    try:
+        yield handle
+    finally:
+        os.close(handle)
 
 
 def _is_locked(handle: int, wait_s: float) -> bool:
