@@ -8,6 +8,7 @@ import re
 import secrets
 import shutil
 import stat
+import sys
 import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping
@@ -291,17 +292,21 @@ def new_folder(folder: Path) -> Iterator[Path]:
 
 
 def take_lock(handle: int, wait_s: float = 2.0) -> None:
-    """Lock an open file for this process (POSIX). OSError if another process still has the lock after ``wait_s`` seconds.
+    """Lock an open file for this process. OSError if another process still has the lock after ``wait_s`` seconds.
 
     The wait is needed because a newly forked process keeps the locks of its parent until it has closed the files.
     """
+    if sys.platform == "win32":
+        import msvcrt
+
+        return msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
     import fcntl
 
     last = time.monotonic() + wait_s
     while True:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return
+            return None
         except OSError:
             if time.monotonic() > last:
                 raise

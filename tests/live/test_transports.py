@@ -15,7 +15,7 @@ from serial.tools import list_ports
 from testkit.byte_sender import Sender
 from testkit.pseudo_terminal import open_pseudo_terminal
 from testkit.waiting import eventually
-from undrift.errors import InputError, LinkError, RigTimeout
+from undrift.errors import InputError, LinkError
 from undrift.live.decoder import StreamDescription
 from undrift.live.transports import LslSource, lsl_streams, serial_ports, source_at
 
@@ -38,7 +38,8 @@ def opened(address):
 def counts(source, wanted=5):
     found = []
     while len(found) < wanted:
-        found += source.read(30.0).counter.tolist()
+        chunk = source.read(30.0)
+        found += [] if chunk is None else chunk.counter.tolist()
     return found
 
 
@@ -48,26 +49,15 @@ def test_readings_come_over_tcp_stamped_with_the_hosts_time():
         chunk = source.read(30.0)
         assert chunk.counter.tolist() == [0, 1, 2, 3, 4]
         assert chunk.values[0].tolist() == [1, 2, 3]
-        assert before <= chunk.host_time[0] <= time.monotonic()
+        assert before <= chunk.host_time <= time.monotonic()
 
 
-def test_silence_and_rubbish_are_timeouts_that_say_which():
+def test_silence_and_rubbish_are_told_apart():
     with Sender([b""]) as device, opened(f"tcp://127.0.0.1:{device.port}{OPTIONS}") as source:
-        start = time.monotonic()
-        with pytest.raises(RigTimeout, match=r"within 0.1 s, got nothing"):
-            source.read(0.1)
-        assert time.monotonic() - start < 15.0
+        assert source.read(0.1) is None
+        assert source.received_instead() == "nothing"
     with Sender([b"x\n" * 50]) as device, opened(f"tcp://127.0.0.1:{device.port}{OPTIONS}") as source:
-        told = []
-
-        def rubbish_came():
-            with pytest.raises(RigTimeout) as silent:
-                source.read(0.2)
-            told.append(str(silent.value))
-            return "bytes" in told[-1]
-
-        eventually(rubbish_came, "rubbish")
-        assert "got 100 bytes without a reading" in told[-1]
+        eventually(lambda: source.read(0.2) is None and "100 bytes" in source.received_instead(), "rubbish")
         assert source.errors == 49  # the first may have been under way
 
 
@@ -82,8 +72,7 @@ def test_readings_come_over_udp_a_datagram_each():
         for line in (*TEXT.splitlines(), b""):
             device.sendto(line, ("127.0.0.1", port))
         assert counts(source) == [0, 1, 2, 3, 4]
-        with pytest.raises(RigTimeout, match=r"got nothing"):
-            source.read(0.05)
+        assert source.read(0.05) is None
 
 
 def test_readings_come_over_a_serial_line():
@@ -92,8 +81,7 @@ def test_readings_come_over_a_serial_line():
         with opened(f"serial://{os.ttyname(theirs)}{OPTIONS}&baud=115200") as source:
             os.write(ours, TEXT)
             assert counts(source) == [0, 1, 2, 3, 4]
-            with pytest.raises(RigTimeout, match=r"got nothing"):
-                source.read(0.05)
+            assert source.read(0.05) is None
     finally:
         os.close(ours)
         os.close(theirs)
@@ -117,6 +105,7 @@ def test_lsl_stamps_are_the_devices_clock():
     inlet = FakeInlet(([], []), ([[1.0, 2, 3], [4, 5, 6]], [7.5, 7.51]))
     source = LslSource("lsl:imu", PLAIN, lambda: inlet)
     source.open()
+    assert source.read(1.0) is None
     chunk = source.read(1.0)
     assert chunk.counter.tolist() == [7.5, 7.51]
     assert chunk.values.tolist() == [[1, 2, 3], [4, 5, 6]]
@@ -142,7 +131,8 @@ def test_readings_come_over_lsl_on_this_computer(monkeypatch, tmp_path):
     sender.start()
     try:
         with opened(f"lsl:{name}?channels=gyro_x,gyro_y,gyro_z&rate=100") as source:
-            assert source.read(5.0).values[0].tolist() == [1, 2, 3]
+            chunk = source.read(30.0)
+            assert chunk.values[0].tolist() == [1, 2, 3]
         assert (name, "IMU, 3 channels, 100 Hz") in lsl_streams()
     finally:
         stop.set()

@@ -4,17 +4,14 @@ import contextlib
 import random
 import re
 from collections import Counter
-from dataclasses import dataclass
 
 import pytest
 
-from testkit.cards import Board, Card
 from testkit.data import show
+from testkit.driver_bench import KINDS
 from testkit.scripted_server import Scripted
 from testkit.virtual_clock import VirtualClock
 from undrift.errors import LinkError, RigError, RigFault, RigTimeout
-from undrift.rig.galil import GalilRig
-from undrift.rig.grbl import GrblRig
 from undrift.rig.rig import RigSettings
 from undrift.units import RADIAN_PER_DEGREE as DPS
 
@@ -34,36 +31,20 @@ CALLS = {
 ASKED = {"9609", "9608"}  # counts of the turn, at the card's own acceleration and at the one set
 
 
-@dataclass(frozen=True)
-class Driver:
-    """A driver, the controller that it talks to, and its words."""
-
-    controller: type
-    rig: type
-    begin: re.Pattern[str]  # what begins a move
-    stop: re.Pattern[str]  # what brings an axis to rest
-    asks: re.Pattern[str]  # what changes nothing
-    line: dict[str, object]  # how its lines end
-
-
-DRIVERS = {
-    "galil": Driver(
-        Card, GalilRig, re.compile("BGX"), re.compile("STX|AB"), re.compile(r"MG .*|TC1|MOX|\x12\x16"), {}
-    ),
-    "grbl": Driver(
-        Board, GrblRig, re.compile(r"\$J=.*"), re.compile("!?[\x85\x18]"), re.compile(r"\?|!|\$\$|\$SLP|\$X"),
-        {"terminator": b"\n", "at_once": "?!~\x18\x85"},
-    ),
-}  # fmt: skip
+WORDS = {  # what begins a move, what brings an axis to rest, what changes nothing
+    "galil": (r"BGX", r"STX|AB", r"MG .*|TC1|MOX|\x12\x16"),
+    "grbl": (r"\$J=.*", "!?[\x85\x18]", r"\?|!|\$\$|\$SLP|\$X"),
+}
 
 
 class PoorLine:
     """A controller at the end of a line that spoils a share of what passes, once it is armed."""
 
-    def __init__(self, driver, seed, share):
-        self.controller, self.share, self.chance = driver.controller(), share, random.Random(seed)
+    def __init__(self, kind, seed, share):
+        controller, self.rig, line = KINDS[kind]
+        self.controller, self.share, self.chance = controller(), share, random.Random(seed)
         self.clock, self.armed, self.spoilt, self.begun = VirtualClock(), False, Counter(), set()
-        self.server = Scripted(self, self.clock, **driver.line)
+        self.server = Scripted(self, self.clock, **line)
 
     def __call__(self, command):
         if not self.armed or self.chance.random() >= self.share:
@@ -120,22 +101,23 @@ WAYS = (
 )  # fmt: skip
 
 
-def check_sent(driver, name, sent, failure):
+def check_sent(kind, name, sent, failure):
     """A move is begun at most once, by the call that asks for it, and after a failure the table is told to stop."""
-    begun = [place for place, command in enumerate(sent) if driver.begin.fullmatch(command)]
+    begin, stop, asks = WORDS[kind]
+    begun = [place for place, command in enumerate(sent) if re.fullmatch(begin, command)]
     assert len(begun) <= (name == "turn"), (name, sent)
-    if driver.controller is Card and begun:
+    if kind == "galil" and begun:
         assert sent[begun[0] - 1] == "PR ?", sent
     if isinstance(failure, LinkError | RigTimeout) and sent:
-        harmless = re.compile(f"{driver.stop.pattern}|{driver.asks.pattern}")
+        harmless = re.compile(f"{stop}|{asks}")
         last = max((place for place, command in enumerate(sent) if not harmless.fullmatch(command)), default=-1)
-        assert any(driver.stop.fullmatch(command) for command in sent[last + 1 :]), (name, sent)
+        assert any(re.fullmatch(stop, command) for command in sent[last + 1 :]), (name, sent)
 
 
-def converse(driver, line, names, failures):
+def converse(kind, line, names, failures):
     """Open a rig, and give it calls over a poor line until it is of no use any more."""
     line.armed = False
-    rig, sent = driver.rig(line.server.url, RigSettings(clock=line.clock, reply_timeout_s=REPLY_S)), []
+    rig, sent = line.rig(line.server.url, RigSettings(clock=line.clock, reply_timeout_s=REPLY_S)), []
     send = rig.send
 
     def noted(data):
@@ -153,7 +135,7 @@ def converse(driver, line, names, failures):
             failure = error
             failures[type(error).__name__] += 1
         assert line.clock.now() - start < 60.0, f"{name} hangs"
-        check_sent(driver, name, sent, failure)
+        check_sent(kind, name, sent, failure)
         if "Open it again" in str(failure):
             break
     with contextlib.suppress(RigError):
@@ -162,16 +144,16 @@ def converse(driver, line, names, failures):
 
 
 @pytest.mark.parametrize("share", [0.1, 0.4])
-@pytest.mark.parametrize("name", DRIVERS)
-def test_spoilt_lines_end_in_errors_and_begin_nothing(name, share):
-    driver, failures, spoilt = DRIVERS[name], Counter(), Counter()
+@pytest.mark.parametrize("kind", WORDS)
+def test_spoilt_lines_end_in_errors_and_begin_nothing(kind, share):
+    failures, spoilt = Counter(), Counter()
     for seed in range(10):
-        line = PoorLine(driver, seed, share)
+        line = PoorLine(kind, seed, share)
         while len(line.server.heard) < 400:
             with contextlib.suppress(RigError):  # of the opening
-                converse(driver, line, line.chance.choices([*CALLS, "stop", "turn", "turn", "turn"], k=20), failures)
+                converse(kind, line, line.chance.choices([*CALLS, "stop", "turn", "turn", "turn"], k=20), failures)
         spoilt += line.spoilt
         assert line.begun <= ASKED, "a move was begun whose distance the card had otherwise"
-    show(f"{name}: spoilt, and failed", (sum(spoilt.values()), failures))
+    show(f"{kind}: spoilt, and failed", (sum(spoilt.values()), failures))
     assert set(spoilt) == {way.__name__ for way in WAYS}
     assert set(failures) >= {"LinkError", "RigTimeout"}

@@ -9,15 +9,39 @@ import re
 
 from testkit.scripted_server import Scripted
 from undrift.rig.simulated import SimulatedBench
+from undrift.sim.servo import Servo
 
 # ---- Galil
 
 
-class Card:
+class Controller:
+    """What answers commands, and can be told to answer badly."""
+
+    def __init__(self) -> None:
+        self.spoilt: dict[str, list[bytes | None]] = {}  # answers to the next commands that begin so
+
+    def __call__(self, command: str) -> bytes | None:
+        for start, answers in self.spoilt.items():
+            if command.startswith(start) and answers:
+                return answers.pop(0)
+        return self.answer(command)
+
+    def answer(self, command: str) -> bytes | None:
+        raise NotImplementedError
+
+
+def turn(servo: Servo, way: float, speed: float, acceleration: float) -> None:
+    """Turn by a way with ramps, in counts: at most at a speed, and at less if the way is too short for it."""
+    speed = min(speed, math.sqrt(abs(way) * acceleration))
+    servo.turn(math.copysign(speed, way), abs(way) / speed + speed / acceleration, acceleration)
+
+
+class Card(Controller):
     """A card that accepts everything: settings are read back, a move ends after some polls, and answers can be spoilt."""
 
     def __init__(self, polls: int = 1) -> None:
-        self.held: dict[str, str] = {
+        super().__init__()
+        self.held = {
             "AC": "256000",
             "DC": "256000",
             "MO": "1",
@@ -27,20 +51,7 @@ class Card:
             "TS": "44",
             "TM": "1000",
         }
-        self.spoilt: dict[str, list[bytes | None]] = {}
-        self.polls = polls
-        self.moving = 0
-        self.code = 0
-
-    def spoil(self, command: str, *answers: bytes | None) -> None:
-        """Answer the next times that a command begins so with these bytes instead."""
-        self.spoilt[command] = list(answers)
-
-    def __call__(self, command: str) -> bytes | None:
-        for start, answers in self.spoilt.items():
-            if command.startswith(start) and answers:
-                return answers.pop(0)
-        return self.answer(command)
+        self.polls, self.moving, self.code = polls, 0, 0
 
     def answer(self, command: str) -> bytes:
         if command == "TC1":
@@ -134,9 +145,8 @@ class TurningCard(Card):
             way = int(self.held["PR"])
             if not servo.powered or (way > 0 and self.fault == "limit_switch"):
                 return self.refuse(22 if servo.powered else 20)
-            acceleration, self.why = float(self.held["AC"]), 1
-            speed = min(float(self.held["SP"]), math.sqrt(abs(way) * acceleration))
-            servo.turn(math.copysign(speed, way), abs(way) / speed + speed / acceleration, acceleration)
+            self.why = 1
+            turn(servo, way, float(self.held["SP"]), float(self.held["AC"]))
         elif command == "STX":
             servo.slow_down(float(self.held["DC"]))
             self.why = 4
@@ -156,22 +166,19 @@ class TurningCard(Card):
 # ---- GRBL
 
 
-class Board:
+class Board(Controller):
     """A board with a rotary axis whose jogs end immediately, and that answers badly on request."""
 
     def __init__(self) -> None:
+        super().__init__()
         self.settings = {"100": "8.889", "110": "2160000.000", "120": "1000.000"}
         self.state = "Idle"
         self.place = 0.0
         self.jogs: list[tuple[float, float]] = []
-        self.spoilt: dict[str, list[bytes | None]] = {}
         self.stays = 0
         self.wakes_to = "Idle"
 
-    def __call__(self, command: str) -> bytes | None:
-        for start, answers in self.spoilt.items():
-            if command.startswith(start) and answers:
-                return answers.pop(0)
+    def answer(self, command: str) -> bytes | None:
         if command == "?":
             self.stays = max(self.stays - 1, 0)
             if self.state == "Jog" and not self.stays:
@@ -232,11 +239,8 @@ class TurningBoard(Board):
             servo.switch(False)
         elif command.startswith("$J="):
             distance, deg_per_min = self.jogs[-1]
-            per_degree = self.counts_per_turn / 360.0
-            acceleration, speed = float(self.settings["120"]) * per_degree, deg_per_min / 60.0 * per_degree
-            way = distance * per_degree
-            speed = min(speed, math.sqrt(abs(way) * acceleration))
-            servo.turn(math.copysign(speed, way), abs(way) / speed + speed / acceleration, acceleration)
+            per_deg = self.counts_per_turn / 360.0
+            turn(servo, distance * per_deg, deg_per_min / 60.0 * per_deg, float(self.settings["120"]) * per_deg)
         return answer
 
     @property

@@ -138,19 +138,21 @@ class _Recording:
     """One recording, from the first look at the device to the file."""
 
     def __init__(self, address: str, output: Path) -> None:
-        self.screen = screen()
+        self.screen, self.shown = screen(), ""
         self.screen.over(f"Listening to {address} ...")
         self.address, self.notes = described_address(address)
-        self.listened, self.shown = self.address != address, ""
+        self.is_rate_rough = self.address != address  # determined by listening for a few seconds
         self.source, self.output, self.ended = LiveDevice(self.address, FIRST_S), output, "stopped"
         self.began = datetime.now(UTC).isoformat(timespec="milliseconds")
         self.file = output if output.name.endswith(".csv") else output.with_name(f"{output.name}.csv")
         self.screen.over("")
-        notes, source = (f"  note: {note}" for note in self.notes), self.source.recorder.source
-        sent, triads = source.description, {name.partition("_")[0] for name in source.description.measured}
+        sent = self.source.recorder.source.description
+        triads = {name.partition("_")[0] for name in sent.measured}
         units = {"gyro": sent.gyro_unit, "accel": sent.accel_unit, "mag": "uT", "temp": "degC"}
         channels = ", ".join(f"{name} in {unit}" for name, unit in units.items() if name in triads)
-        self.screen.say(f"Recording {source.name}: {channels}, {sent.rate:g} Hz. Ctrl-C ends it.", *notes)
+        notes = (f"  note: {note}" for note in self.notes)
+        name = self.source.recorder.source.name
+        self.screen.say(f"Recording {name}: {channels}, {sent.rate:g} Hz. Ctrl-C ends it.", *notes)
 
     def run(self, guides: Guides, duration_s: float) -> tuple[Record, Status]:
         """Record until the end, and write the file. Errors that end it early are raised with the state of the file."""
@@ -163,34 +165,45 @@ class _Recording:
                 self.ended = "stopped"
             finally:
                 with uninterrupted():
-                    status, full = self._stop()
+                    self.screen.over(self.shown, last=True)
+                    status, disk_error = self.source.status(), ""
+                    try:
+                        self.source.stop()
+                    except InputError as error:
+                        disk_error = str(error)
             with uninterrupted():
-                return self._finish(status, full), status
+                return self._finish(status, disk_error or status.file_error), status
 
-    def _stop(self) -> tuple[Status, str]:
-        """Stop the device. Return its last state, and the error if the disk is full."""
-        self.screen.over(self.shown, last=True)
-        status = self.source.status()
+    def _finish(self, status: Status, disk_error: str) -> Record:
+        """Write the requested file from the CSV, and return its readings. If the disk is full, only the CSV remains."""
         try:
-            self.source.stop()
-        except InputError as error:
-            return status, str(error)
-        return status, status.file_error
-
-    def _finish(self, status: Status, full: str) -> Record:
-        """Write the requested file and return its readings."""
-        try:
-            record, where, failed = self._read_back(full)
+            record = self._read_back()
         except UndriftError as error:
             too_few = (
                 f"{self.source.name}: fewer than two readings arrived before the recording was stopped. Try again."
             )
-            raise InputError(full or too_few) from error
-        remaining = f"the {record.duration_s:.1f} s until then are in {where}"
-        if failed:
-            raise InputError(f"{failed} ({remaining})")
+            raise InputError(disk_error or too_few) from error
+        remaining = f"the {record.duration_s:.1f} s until then are in"
+        try:
+            if disk_error:
+                raise InputError(disk_error)
+            write_record_as(record, self.output, {"address": self.address, "began": self.began})
+        except InputError as error:
+            raise InputError(f"{error} ({remaining} {self.file})") from error
+        if self.file != self.output:
+            self.file.unlink()
         if self.ended == "lost":
-            raise LinkError(f"{status.error} ({remaining})")
+            raise LinkError(f"{status.error} ({remaining} {self.output})")
+        return record
+
+    def _read_back(self) -> Record:
+        """Return all readings in the CSV."""
+        description, timeline = self.source.recorder.source.description, self.source.recorder.timeline
+        record = replace(read_record(self.file, ColumnMap(gaps="keep")), device=description.device)
+        if self.is_rate_rough and not description.tick and record.duration_s > CLOCK_S:
+            clock = timeline.clock()  # which knows the rate better now
+            if clock.settled:
+                record = replace(record, time=record.time * clock.rate * description.clock_speed)
         return record
 
     def report(self, record: Record, status: Status) -> Report:
@@ -213,29 +226,6 @@ class _Recording:
             },
             next_command=("info", self.output),
         )
-
-    def _read_back(self, full: str) -> tuple[Record, Path, str]:
-        """Return all readings, their file, and the reason if it is not the requested file."""
-        description, timeline = self.source.recorder.source.description, self.source.recorder.timeline
-        record = replace(read_record(self.file, ColumnMap(gaps="keep")), device=description.device)
-        # A rate that was found in seconds is better known now, by this computer's clock
-        if (
-            self.listened
-            and not description.tick
-            and record.duration_s > CLOCK_S
-            and (clock := timeline.clock()).settled
-        ):
-            record = replace(record, time=record.time * clock.rate * description.clock_speed)
-        try:
-            if not full:
-                write_record_as(record, self.output, {"address": self.address, "began": self.began})
-        except InputError as error:
-            full = str(error)
-        if full:
-            return record, self.file, full
-        if self.file != self.output:
-            self.file.unlink()
-        return record, self.output, ""
 
     def _watch(self, guides: Guides, duration_s: float) -> str:
         """Show the readings and the instructions of a guide until the end. Return the reason of the end."""
@@ -267,7 +257,7 @@ class _Recording:
 
 
 def _line(status: Status, newest: Record | None) -> str:
-    """Return how the recording is doing, in a line."""
+    """Return the state of the recording, in a line."""
     if newest is None:
         return f"{status.file_s:7.1f} s   no readings: {status.error or 'waiting for the device'}"
     rate = f"{status.sample_rate_hz:.1f}" if status.file_s > RATE_S else "-"

@@ -1,11 +1,12 @@
 """Fit of the device's clock to the host's while packets arrive: ``host = offset + rate * device + delay``, delay >= 0.
 
-The line is the one below all packets of the last minutes, as for files (io/clock.py). The lower hull is updated with a few
-operations per packet. Old points are removed, because a clock drifts with temperature. While a backlog drains, the line is too
-late, until the first prompt packet. The clock is settled when several successive packets over some time were not earlier than the
-earlier packets allow.
+The line is the one below all packets of the last minutes, as for files (io/clock.py), at the middle of these minutes. The lower
+hull is updated with a few operations per packet. Old points are removed, because a clock drifts with temperature. While a backlog
+drains, the line is too late, until the first prompt packet. The clock is settled when several successive packets over some time
+were not earlier than the earlier packets allow.
 """
 
+import itertools
 from collections import deque
 from dataclasses import dataclass
 
@@ -44,55 +45,38 @@ class ClockLine:
         return self.device_zero + (host_time - self.host_zero) / self.rate
 
 
-class _Packets:
-    """Packets of some minutes: lower hull, number and sum of device times."""
-
-    def __init__(self, start: float) -> None:
-        self.start, self.count, self.total = start, 0, 0.0
-        self.hull: list[Point] = []
-
-
 class DeviceClock:
     """Fit of a device's clock, updated with each packet."""
 
     def __init__(self, clock_speed: float = 1.0, memory_s: float = MEMORY_S) -> None:
         self._nominal, self._memory_s = 1.0 / clock_speed, memory_s
-        self._parts: deque[_Packets] = deque(maxlen=2)
+        self._hulls: deque[list[Point]] = deque(maxlen=2)  # lower hulls of the packets of `memory_s` each
         self._recent: deque[Point] = deque(maxlen=KEPT_DELAYS)
         self._zero: Point | None = None
         self._prompt: Point = (0.0, np.inf)  # earliest packet (earlier points are removed, because they were late)
 
-    def add(self, device_time: FloatArray, host_time: FloatArray) -> None:
-        """Add readings with device_time (N,), s, and host_time (N,), s.
-
-        If several readings arrive at the same time, only the last of them is used, because the others were late.
-        """
-        last = np.flatnonzero(np.diff(host_time, append=np.inf) > 0.0)
-        for device, host in zip(device_time[last].tolist(), host_time[last].tolist(), strict=True):
-            self._zero = self._zero or (device, host)
-            x, y = device - self._zero[0], host - self._zero[1]  # small numbers keep their digits
-            if y < self._prompt[1] + (1.0 - DRAINING) * self._nominal * (x - self._prompt[0]):
-                self._prompt = x, y
-                self._recent.clear()
-                self._parts.clear()
-            if not self._parts or x - self._parts[-1].start > self._memory_s:
-                self._parts.append(_Packets(x))
-            packets = self._parts[-1]
-            packets.count, packets.total = packets.count + 1, packets.total + x
-            extend_hull(packets.hull, (x, y))
-            self._recent.append((x, y))
+    def add(self, device_time: float, host_time: float) -> None:
+        """Add the last reading of a packet. The others were late."""
+        self._zero = self._zero or (device_time, host_time)
+        x, y = device_time - self._zero[0], host_time - self._zero[1]  # small numbers keep their digits
+        if y < self._prompt[1] + (1.0 - DRAINING) * self._nominal * (x - self._prompt[0]):
+            self._prompt = x, y
+            self._recent.clear()
+            self._hulls.clear()
+        if not self._hulls or x - self._hulls[-1][0][0] > self._memory_s:
+            self._hulls.append([])
+        extend_hull(self._hulls[-1], (x, y))
+        self._recent.append((x, y))
 
     def fit(self) -> ClockLine:
         """Return the line fitted to all packets so far."""
         if self._zero is None:
             raise InputError("clock: no packet has arrived. Wait for the device.")
         hull: list[Point] = []
-        for packets in self._parts:
-            for point in packets.hull:
-                extend_hull(hull, point)
-        mean = sum(packets.total for packets in self._parts) / sum(packets.count for packets in self._parts)
+        for point in itertools.chain(*self._hulls):
+            extend_hull(hull, point)
         low, high = self._nominal * (1.0 - RATE_TOLERANCE), self._nominal * (1.0 + RATE_TOLERANCE)
-        slope = min(max(slope_at(hull, mean, self._nominal), low), high)
+        slope = min(max(slope_at(hull, 0.5 * (hull[0][0] + hull[-1][0]), self._nominal), low), high)
         offset = min(y - slope * x for x, y in hull)
         x, y = np.array(self._recent).T
         return ClockLine(
@@ -145,23 +129,24 @@ class Timeline:
     """Converter of chunks to device time, with gaps marked and a fit of the device's clock to the host's."""
 
     def __init__(self, description: StreamDescription) -> None:
-        speed = description.clock_speed
         self.readings = 0
-        self.counter = Counter(description.counter_bits, description.tick_s, speed)
         self.marker = GapMarker(1.0 / description.rate)
         self._tick_s = description.tick_s
-        self._arrivals = Arrivals(description.rate, speed)
-        self._clock = DeviceClock(speed)
+        self._counter = Counter(description.counter_bits, description.tick_s, description.clock_speed)
+        self._arrivals = Arrivals(description.rate, description.clock_speed)
+        self._clock = DeviceClock(description.clock_speed)
 
     def add(self, chunk: Chunk) -> Block:
         """Add a chunk and return its readings on the device's clock."""
         if chunk.counter is None:
-            count, valid = self._arrivals.count(chunk.host_time), np.ones(len(chunk), dtype=bool)
+            count = self._arrivals.count(len(chunk), chunk.host_time)
         else:
-            count, valid = self.counter.unwrap(chunk.counter, chunk.host_time)
+            count = self._counter.unwrap(chunk.counter, chunk.host_time)
+        valid = np.isfinite(count)
         time = count[valid] * self._tick_s
         self.readings += len(time)
-        self._clock.add(time, chunk.host_time[valid])
+        if len(time):
+            self._clock.add(float(time[-1]), chunk.host_time)
         return Block(*self.marker.mark(time, chunk.values[valid]))
 
     def clock(self) -> ClockLine:

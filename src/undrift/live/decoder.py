@@ -12,11 +12,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import reduce
 from operator import xor
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from undrift.arrays import BoolArray, FloatArray, Shape, freeze
+from undrift.arrays import FloatArray, Shape, freeze
 from undrift.errors import InputError, check_choices, check_positive
 from undrift.plugins import typed_options
 from undrift.record import Record
@@ -26,17 +26,12 @@ from undrift.units import canonical_unit
 # they are 0x31 and 0x29B1.
 
 
-class Checksum(NamedTuple):
-    """Function and size of a checksum."""
-
-    of: Callable[[bytes], int]  # function from bytes to number
-    size: int  # size of the number, bytes
-
-
-CHECKSUMS = {
-    "none": Checksum(lambda data: 0, 0),
-    "xor": Checksum(lambda data: reduce(xor, data, 0), 1),
-    "crc16": Checksum(lambda data: binascii.crc_hqx(data, 0xFFFF), 2),
+CHECKSUMS: dict[
+    str, tuple[Callable[[bytes], int], int]
+] = {  # function from bytes to number, and size of the number, bytes
+    "none": (lambda data: 0, 0),
+    "xor": (lambda data: reduce(xor, data, 0), 1),
+    "crc16": (lambda data: binascii.crc_hqx(data, 0xFFFF), 2),
 }
 
 
@@ -135,14 +130,12 @@ class StreamDescription:
         return counter, np.ascontiguousarray(rows[:, columns])
 
     def _check_channels(self) -> None:
-        names = [name for name in self.channels if name != IGNORED]
-        accepted = (COUNTER, IGNORED, *MEASURED)
-        wrong = [name for name in names if name not in accepted]
-        if wrong or len(set(names)) < len(names):
-            channel = wrong[0] if wrong else next(name for name in names if names.count(name) > 1)
-            raise InputError(
-                f"stream: channels must be among {', '.join(accepted)}, each at most once, got '{channel}'. Correct the list."
-            )
+        names, accepted = [name for name in self.channels if name != IGNORED], (COUNTER, IGNORED, *MEASURED)
+        for name in names:
+            if name not in accepted or names.count(name) > 1:
+                raise InputError(
+                    f"stream: channels must be among {', '.join(accepted)}, each at most once, got '{name}'. Correct the list."
+                )
         for triad in TRIADS:
             axis_count = sum(name.startswith(triad) for name in names)
             if axis_count not in (0, 3):
@@ -175,33 +168,26 @@ class Counter:
     """
 
     def __init__(self, bits: int, tick_s: float, clock_speed: float = 1.0) -> None:
-        self._modulus = 2.0**bits if bits else 0.0
-        self._tick = tick_s
-        self._speed = clock_speed
-        self._raw = self._host = self._total = 0.0
-        self._begun = False
+        self._modulus, self._tick_s, self._speed = 2.0**bits if bits else 0.0, tick_s, clock_speed
+        self._last: tuple[float, float] | None = None  # last counter and its time of arrival, host s
+        self._total = -1.0
 
-    def unwrap(self, raw: FloatArray, host_time: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Return increasing counts (N,), and True for each valid reading (N,), from raw (N,) and host_time (N,), s."""
-        if not self._begun and len(raw):
-            self._raw, self._host, self._begun = float(raw[0]) - 1.0, float(host_time[0]), True
-            self._total = -1.0
-        pairs = [self._next(r, h) for r, h in zip(raw.tolist(), host_time.tolist(), strict=True)]
-        return np.array([total for total, _ in pairs]), np.array([is_new for _, is_new in pairs], dtype=bool)
+    def unwrap(self, raw: FloatArray, host_time: float) -> FloatArray:
+        """Return increasing counts (N,) of readings that arrive at a time, host s. Late and repeated readings are NaN."""
+        return np.array([self._next(value, host_time) for value in raw.tolist()])
 
-    def _next(self, raw: float, host: float) -> tuple[float, bool]:
-        step = raw - self._raw
-        expected = (host - self._host) * self._speed / self._tick
+    def _next(self, raw: float, host_time: float) -> float:
+        before, before_s = self._last or (raw - 1.0, host_time)
+        step, expected = raw - before, (host_time - before_s) * self._speed / self._tick_s
         if self._modulus:
             step = (step + self._modulus / 2.0) % self._modulus - self._modulus / 2.0
             step += max(round((expected - step) / self._modulus), 0) * self._modulus
-        if step <= 0.0 and -step * self._tick < RESTART_S:
-            return self._total, False
-        slack = RESTART_S * max(self._speed, 1.0) / self._tick + 0.1 * abs(expected)
-        if abs(step - expected) > slack:
+        if step <= 0.0 and -step * self._tick_s < RESTART_S:
+            return np.nan
+        if abs(step - expected) > RESTART_S * max(self._speed, 1.0) / self._tick_s + 0.1 * abs(expected):
             step = max(round(expected), 1.0)
-        self._raw, self._host, self._total = raw, host, self._total + step
-        return self._total, True
+        self._last, self._total = (raw, host_time), self._total + step
+        return self._total
 
 
 class Arrivals:
@@ -209,31 +195,26 @@ class Arrivals:
 
     def __init__(self, rate: float, clock_speed: float = 1.0) -> None:
         self._per_host_s = rate * clock_speed
-        self._total = -1.0
-        self._host: float | None = None
+        self._total, self._host = -1.0, np.inf  # last count, and its time of arrival, host s
 
-    def count(self, host_time: FloatArray) -> FloatArray:
-        """Return the counts (N,) of readings with host_time (N,), s."""
-        n = len(host_time)
-        if not n:
-            return np.empty(0)
-        silent = 0.0 if self._host is None else float(host_time[0]) - self._host
-        due = silent * self._per_host_s
-        lost = round(due - n) if silent > SILENCE_S and n < due / 2.0 else 0
-        self._host = float(host_time[-1])
-        counts: FloatArray = self._total + lost + np.arange(1.0, n + 1.0)
-        self._total = float(counts[-1])
+    def count(self, number: int, host_time: float) -> FloatArray:
+        """Return the counts (N,) of readings that arrive at a time, host s."""
+        silent_s = host_time - self._host
+        due = silent_s * self._per_host_s
+        lost = round(due - number) if silent_s > SILENCE_S and number < due / 2.0 else 0
+        counts: FloatArray = self._total + lost + np.arange(1.0, number + 1.0)
+        self._total, self._host = float(counts[-1]), host_time
         return counts
 
 
-# ---- Chunk: readings as they arrived, with the host's time of arrival.
+# ---- Chunk: readings as they arrived.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Chunk:
-    """N readings that arrived together."""
+    """N readings that arrived together, N > 0."""
 
-    host_time: Annotated[FloatArray, Shape("n")]  # (N,), time of arrival on the host's monotonic clock, s
+    host_time: float  # time of arrival on the host's monotonic clock, s
     # (N,), counter of the device, ticks, or None for a device without counter
     counter: Annotated[FloatArray | None, Shape("n")]
     # (N, C), raw readings in the order of ``StreamDescription.measured``, in the device's units
@@ -243,7 +224,7 @@ class Chunk:
         freeze(self)
 
     def __len__(self) -> int:
-        return len(self.host_time)
+        return len(self.values)
 
 
 # ---- Decoders.
@@ -256,7 +237,8 @@ class Decoder(ABC):
 
     def __init__(self, description: StreamDescription) -> None:
         self.errors = 0
-        self._width, self._checksum = len(description.channels), CHECKSUMS[description.checksum]
+        self._width = len(description.channels)
+        self._checksum_of, self._checksum_size = CHECKSUMS[description.checksum]
         self._rest = b""
         self._begun = False  # False until the first line or frame, which may be incomplete
 
@@ -305,9 +287,9 @@ class LineDecoder(Decoder):
         """Return the numbers of a line, or None if the line is corrupted."""
         line = line.removeprefix(b"$")
         try:
-            if self._checksum.size:
+            if self._checksum_size:
                 line, _, checksum_text = line.rpartition(b"*")
-                if len(checksum_text) != 2 * self._checksum.size or int(checksum_text, 16) != self._checksum.of(line):
+                if len(checksum_text) != 2 * self._checksum_size or int(checksum_text, 16) != self._checksum_of(line):
                     return None
             texts = line.split(self._separator)
             if len(texts) != self._width or b"_" in line:  # Python would parse 1_0 as 10
@@ -335,12 +317,12 @@ class FrameDecoder(Decoder):
         self._in_step = True  # False within a stretch of corrupted bytes, which counts as one error
 
     def _rows(self, buffer: bytes, is_datagram: bool) -> FloatArray:
-        head, body, tail = len(self._sync), self._fields.size, self._checksum.size
+        head, body, tail = len(self._sync), self._fields.size, self._checksum_size
         start, rows = 0, list[tuple[float, ...]]()
         while len(buffer) - start >= head + body + tail:
             fields, end = buffer[start + head : start + head + body], start + head + body
             is_frame = buffer.startswith(self._sync, start)
-            if is_frame and int.from_bytes(buffer[end : end + tail], self._order) == self._checksum.of(fields):
+            if is_frame and int.from_bytes(buffer[end : end + tail], self._order) == self._checksum_of(fields):
                 rows.append(self._fields.unpack(fields))
                 start, self._in_step, self._begun = end + tail, True, True
                 continue

@@ -24,7 +24,7 @@ from numpy.polynomial import Polynomial
 
 from undrift.arrays import FloatArray, IntArray
 from undrift.base.clock import Clock
-from undrift.errors import InputError, LinkError, RigTimeout
+from undrift.errors import InputError, LinkError
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate, rotation_vector
 from undrift.live.decoder import COUNTER, MEASURED, Chunk, StreamDescription
 from undrift.plugins import typed_options
@@ -244,17 +244,18 @@ class HandHeldSource:
             self._followed = True
             self._held.follow()
 
-    def read(self, deadline_s: float) -> Chunk:
-        """Return the readings that have arrived, at least one."""
-        last = host.monotonic() + deadline_s
-        while host.monotonic() <= last:
-            if not self._open or self._held.address not in _HELD:
-                raise LinkError(f"{self.name}: the device is closed. Connect again.")
-            counts, rows = self._held.read()
-            if counts.size:
-                return Chunk(host_time=np.full(len(rows), host.monotonic()), counter=counts.astype(float), values=rows)
-            host.sleep(TOGETHER_S)
-        raise RigTimeout(f"{self.name}: no reading within {deadline_s:g} s. Connect again.")
+    def read(self, wait_s: float) -> Chunk | None:
+        """Return the readings since the last call, or None."""
+        if not self._open or self._held.address not in _HELD:
+            raise LinkError(f"{self.name}: the device is closed. Connect again.")
+        counts, rows = self._held.read()
+        if counts.size:
+            return Chunk(host_time=host.monotonic(), counter=counts.astype(float), values=rows)
+        host.sleep(TOGETHER_S)
+        return None
+
+    def received_instead(self) -> str:
+        return "nothing"
 
     def close(self) -> None:
         """Close the source. A second call has no effect."""

@@ -11,7 +11,7 @@
 import itertools
 import logging
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
@@ -73,11 +73,11 @@ class Recorder:
         RigTimeout is raised if no such reading arrives.
         """
         self._wait(
-            lambda: bool(self._ring) and self._ring[-1].time[-1] >= self._first_after(moment),
+            lambda: bool(self._ring) and self._newest() >= self._first_after(moment),
             deadline_s,
             "a reading that is certainly later than the start of a dwell",
         )
-        return float(self._ring[-1].time[-1])
+        return self._newest()
 
     def between(self, start: float, stop: float, deadline_s: float = 5.0, *, first: float | None = None) -> Record:
         """Return the readings between two host times, s. `first` is a device time from `begun` that excludes earlier readings."""
@@ -85,14 +85,13 @@ class Recorder:
             raise InputError(f"readings: start must be before stop, got {start:.3f} and {stop:.3f} s. Swap them.")
         certain = first is not None
 
-        def complete() -> bool:
+        def is_complete() -> bool:
             fit = self.timeline.clock() if self._ring else None
-            return fit is not None and fit.settled >= certain and fit.host_time(float(self._ring[-1].time[-1])) >= stop
+            return fit is not None and fit.settled >= certain and fit.host_time(self._newest()) >= stop
 
-        self._wait(complete, max(stop - self.now(), 0.0) + deadline_s, "readings up to the end of a dwell")
+        self._wait(is_complete, max(stop - self.now(), 0.0) + deadline_s, "readings up to the end of a dwell")
         with self._news:
             fit = self.timeline.clock()
-            last = fit.device_time(stop)
             first = fit.device_time(start) if first is None else max(first, self._first_after(start))
             if first < self._forgotten:
                 raise InputError(
@@ -100,9 +99,8 @@ class Recorder:
                     f"{self._keep_s:g} device seconds. Increase keep_s.",
                     keep_s=self._keep_s,
                 )
-            blocks = [block for block in self._ring if block.time[-1] >= first and block.time[0] <= last]
-        times, values = _joined(blocks)
-        # compared in host time, as in `complete`, because conversion with rounding could omit the last reading
+            times, values = _joined(self._ring)
+        # compared in host time, as in `is_complete`, because conversion with rounding could omit the last reading
         inside = (times >= first) & (fit.host_zero + fit.rate * (times - fit.device_zero) <= stop)
         if (count := int(inside.sum())) >= 2:
             return self.source.description.record(times[inside], values[inside])
@@ -123,7 +121,7 @@ class Recorder:
         """
         with self._news:
             blocks = list(itertools.takewhile(lambda block: block.time[-1] > device_time, reversed(self._ring)))[::-1]
-        times, values = _joined(blocks)
+        times, values = _joined(blocks) if blocks else (np.empty(0), np.empty((0, 0)))
         later = times > device_time
         if int(later.sum()) >= 2:
             return self.source.description.record(times[later], values[later])
@@ -156,26 +154,31 @@ class Recorder:
         """Read the device once. Return the pause until the next read, host s, or None after a failure."""
         try:
             chunk = self.source.read(READ_S)
+            if chunk is None and self.now() - self._heard > self._silence_s:
+                raise RigTimeout(
+                    f"{self.source.name}: no reading within {self._silence_s:g} s, got {self.source.received_instead()}. Check "
+                    "that the device sends.",
+                    deadline_s=self._silence_s,
+                )
         except UndriftError as error:
-            if isinstance(error, RigTimeout) and self.now() - self._heard <= self._silence_s:
-                return 0.0
             log.info("recorder: %s", error)
             with self._news:
                 self._failure = error
                 self._news.notify_all()
             return None
-        self._heard = self.now()
-        with self._news:
-            self._keep(self.timeline.add(chunk))
+        if chunk is not None:
+            self._heard = self.now()
+            with self._news:
+                block = self.timeline.add(chunk)
+                if len(block.time):
+                    self._ring.append(block)
+                    while self._ring[0].time[-1] < self._newest() - self._keep_s:
+                        self._forgotten = float(self._ring.popleft().time[-1])
+                    self._news.notify_all()
         return 0.0
 
-    def _keep(self, block: Block) -> None:
-        if not len(block.time):
-            return
-        self._ring.append(block)
-        while self._ring[0].time[-1] < block.time[-1] - self._keep_s:
-            self._forgotten = float(self._ring.popleft().time[-1])
-        self._news.notify_all()
+    def _newest(self) -> float:
+        return float(self._ring[-1].time[-1])
 
     def _first_after(self, moment: float) -> float:
         """Return the device time that is certainly after a host time, s. It is infinite until the clock is settled."""
@@ -198,19 +201,18 @@ class Recorder:
                     )
                 if left_s <= 0.0:
                     behind = bool(self._ring) and not self.timeline.clock().settled
-                    cause = (
-                        "got a backlog. Wait, or check the rate" if behind else "got none. Check that the device sends"
-                    )
+                    cause = "a backlog. Wait, or check the rate" if behind else "none. Check that the device sends"
                     raise RigTimeout(
-                        f"{self.source.name}: expected {what} within {deadline_s:g} s, {cause}.", deadline_s=deadline_s
+                        f"{self.source.name}: expected {what} within {deadline_s:g} s, got {cause}.",
+                        deadline_s=deadline_s,
                     )
                 self._news.wait(min(left_s, WAKE_S))
 
 
-def _joined(blocks: Sequence[Block]) -> tuple[FloatArray, FloatArray]:
+def _joined(blocks: Iterable[Block]) -> tuple[FloatArray, FloatArray]:
     """Return device times (N,) and values (N, C) of successive blocks."""
-    times, values = [np.empty(0), *(block.time for block in blocks)], [block.values for block in blocks]
-    return np.concatenate(times), np.concatenate(values) if values else np.empty((0, 0))
+    times, values = zip(*((block.time, block.values) for block in blocks), strict=True)
+    return np.concatenate(times), np.concatenate(values)
 
 
 class DwellReadings:

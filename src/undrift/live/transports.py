@@ -21,7 +21,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.base.clock import HOST, Clock, Port
-from undrift.errors import InputError, LinkError, RigTimeout
+from undrift.errors import InputError, LinkError
 from undrift.live.decoder import COUNTER, Chunk, StreamDescription, decoder_for, described, finite
 from undrift.plugins import Options, split_address
 
@@ -49,8 +49,11 @@ class Source(Protocol):
     def open(self) -> None:
         """Connect, or raise LinkError if nothing answers."""
 
-    def read(self, deadline_s: float) -> Chunk:
-        """Return the readings that have arrived, at least one."""
+    def read(self, wait_s: float) -> Chunk | None:
+        """Return the readings that arrive within a time, s, or None."""
+
+    def received_instead(self) -> str:
+        """Describe what was received if there is no reading, for messages."""
 
     def close(self) -> None:
         """Close the source. A second call has no effect."""
@@ -202,7 +205,7 @@ class ByteSource:
         self.name, self.description, self.errors = name, description, 0
         self._connect, self.clock = connect, clock
         self.port: Any = None
-        self._received = 0  # number of bytes in this read
+        self._received = 0  # number of bytes since the last reading
         self._decoder = decoder_for(description)
 
     def open(self) -> None:
@@ -217,23 +220,15 @@ class ByteSource:
             reason = reason_of(error)
             raise LinkError(f"{self.name}: cannot connect ({reason}). Check power, cable and address.") from error
 
-    def read(self, deadline_s: float) -> Chunk:
-        """Return the readings that have arrived, at least one. Raise RigTimeout after the deadline, s."""
+    def read(self, wait_s: float) -> Chunk | None:
+        """Return the readings that are complete after a wait, s, or None."""
         if self.port is None:
             raise LinkError(f"{self.name}: the {self.way} is closed. Open it first.")
-        now = self.clock.now
-        last, self._received = now() + deadline_s, 0
-        while True:
-            rows = self._poll(min(max(last - now(), 0.0), POLL_S))
-            arrived = now()
-            if len(rows):
-                counter, values = self.description.split(rows)
-                return Chunk(host_time=np.full(len(rows), arrived), counter=counter, values=values)
-            if arrived >= last:
-                raise RigTimeout(
-                    f"{self.name}: no reading within {deadline_s:g} s, got {self._instead()}. Check that the device sends.",
-                    deadline_s=deadline_s,
-                )
+        rows = self._poll(wait_s)
+        if not len(rows):
+            return None
+        counter, values = self.description.split(rows)
+        return Chunk(host_time=self.clock.now(), counter=counter, values=values)
 
     def close(self) -> None:
         """Close the port. A second call has no effect."""
@@ -256,9 +251,11 @@ class ByteSource:
         errors = self._decoder.errors
         rows = self._decoder.feed(data, whole=self.port.datagrams) if data else np.empty((0, 0))
         self.errors += self._decoder.errors - errors
+        self._received = 0 if len(rows) else self._received
         return rows
 
-    def _instead(self) -> str:
+    def received_instead(self) -> str:
+        """Describe what was received if there is no reading, for messages."""
         if not self._received:
             return "nothing"
         return f"{self._received} bytes without a reading. Check format, checksum and baud rate"
@@ -286,7 +283,7 @@ class LslSource(ByteSource):
         self.errors += len(stamps) - len(valid)
         return valid
 
-    def _instead(self) -> str:
+    def received_instead(self) -> str:
         width = len(self.description.channels) - 1
         return f"{self.errors} samples of another width than {width}" if self.errors else "nothing"
 

@@ -14,13 +14,12 @@ later, and repeats a dwell whose file was deleted.
 import hashlib
 import json
 import os
-import sys
 import tomllib
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import tomli_w
 
@@ -85,7 +84,12 @@ class RunFolder(AbstractContextManager["RunFolder"]):
             (path / PIECES).mkdir(parents=True, exist_ok=True)
             self._lock = (path / LOCK).open("ab")
         try:
-            lock(self._lock, path)
+            try:
+                take_lock(self._lock.fileno())
+            except OSError as error:
+                raise InputError(
+                    f"{path}: another run is writing to this folder. Wait for that run, end it, or choose another folder."
+                ) from error
             with disk_errors(path):
                 self._open(protocol, resume)
         except BaseException:
@@ -214,22 +218,7 @@ def read_journal(path: Path) -> tuple[Head | None, tuple[RecordedDwell, ...]]:
         ) from error
 
 
-# ---- Files: synchronised, with one lock and an error message for a full disk.
-
-
-def lock(file: BinaryIO, folder: Path) -> None:
-    """Lock an open file, or raise InputError if another program has locked it. Closing the file releases the lock."""
-    try:
-        if sys.platform == "win32":
-            import msvcrt
-
-            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-        else:
-            take_lock(file.fileno())
-    except OSError as error:
-        raise InputError(
-            f"{folder}: another run is writing to this folder. Wait for that run, end it, or choose another folder."
-        ) from error
+# ---- Files: synchronised, with an error message for a full disk.
 
 
 def synchronise(folder: Path) -> None:

@@ -71,12 +71,8 @@ def check_rate(achieved: Achieved, set_rate: float, where: str) -> None:
 
 def check_readings(record: Record, dwell_s: float, where: str) -> int:
     """Return the number of missing readings. Raise RigTimeout if too many are missing."""
-    valid = np.ones(len(record), bool)
-    for values in (record.gyro, record.accel):
-        if values is not None:
-            valid &= np.isfinite(values).all(axis=1)
-    finite, rate = int(valid.sum()), record.sample_rate_hz
-    expected = rate * max(dwell_s, record.duration_s)
+    finite = int(np.isfinite(_channels(record)).all(axis=1).sum())
+    expected = record.sample_rate_hz * max(dwell_s, record.duration_s)
     if finite < LEAST_PART * expected:
         raise RigTimeout(
             f"device: expected at least {LEAST_PART:.0%} of {expected:.0f} readings in {where}, got {finite}. Check the "
@@ -176,14 +172,17 @@ def _is_along(face: Face, force: FloatArray, *, signed: bool = False) -> bool:
     return (along if signed else abs(along)) >= SLANT * float(np.linalg.norm(force))
 
 
+def _channels(record: Record) -> FloatArray:
+    """Return the readings of both triads, (N, channels)."""
+    return np.column_stack([values for values in (record.gyro, record.accel) if values is not None])
+
+
 def _spreads(record: Record) -> FloatArray:
     """Return the standard deviation of every channel in each eighth of a rest, (PARTS, channels)."""
-    channels = np.column_stack([values for values in (record.gyro, record.accel) if values is not None])
-    return np.array([np.nanstd(eighth, axis=0) for eighth in np.array_split(channels, PARTS)])
+    return np.array([np.nanstd(eighth, axis=0) for eighth in np.array_split(_channels(record), PARTS)])
 
 
 def _half_steps(record: Record) -> FloatArray:
     """Return half the smallest step between readings of each channel, or 0 if all readings are equal."""
-    channels = np.column_stack([values for values in (record.gyro, record.accel) if values is not None])
-    steps = (np.diff(np.unique(column[np.isfinite(column)])) for column in channels.T)
+    steps = (np.diff(np.unique(column[np.isfinite(column)])) for column in _channels(record).T)
     return np.array([0.5 * float(step.min()) if len(step) else 0.0 for step in steps])

@@ -118,9 +118,8 @@ def run_programme(
     gravity_m_s2: float | None = None,
 ) -> tuple[RunResult, ...]:
     """Run all dwells that are not on the disk yet, and return a result for each device."""
-    run = _Run(programme, bench, devices, report)
-    before = [len(device.folder.done) for device in devices]
-    try:
+    counts, start = [len(device.folder.done) for device in devices], bench.clock.now()
+    with _Run(programme, bench, devices, report) as run:
         done = frozenset.intersection(*(device.folder.done for device in devices))
         check_programme(programme, bench.rig.limits, done, by_hand=isinstance(bench.rig, ManualRig))
         temps_c = {step.temp_c for step in programme.steps if isinstance(step, Soak)}
@@ -129,28 +128,24 @@ def run_programme(
         rig_name = bench.rig.identify()
         kind: Kind = "thermal" if len(temps_c) > 1 else "calibration"  # tables require two temperatures
         for device in devices:
-            identity = {"protocol": device.folder.digest, "rig": rig_name, "serial": device.serial}
-            device.folder.begin(Head(gravity_m_s2=gravity_m_s2, kind=kind, **identity))
-            for piece in device.folder.pieces:
+            folder = device.folder
+            head = Head(
+                protocol=folder.digest, rig=rig_name, serial=device.serial, gravity_m_s2=gravity_m_s2, kind=kind
+            )
+            folder.begin(head)
+            for piece in folder.pieces:
                 step = programme.steps[piece.step]
                 if isinstance(step, Dwell):
-                    device.rests.keep(step, read_own_parquet(device.folder.path / piece.name), piece.name)
-        start = bench.clock.now()
+                    device.rests.keep(step, read_own_parquet(folder.path / piece.name), piece.name)
         run.all_but(done)
-    except BaseException as error:
-        run.close(error)
-        raise
-    run.close(None)
+    duration_s = bench.clock.now() - start
     for device in devices:
         _check_whole(programme, device)
     return tuple(
         RunResult(
-            pieces=device.folder.pieces,
-            added=len(device.folder.done) - count,
-            duration_s=bench.clock.now() - start,
-            rig=rig_name,
+            pieces=device.folder.pieces, added=len(device.folder.done) - count, duration_s=duration_s, rig=rig_name
         )
-        for device, count in zip(devices, before, strict=True)
+        for device, count in zip(devices, counts, strict=True)
     )
 
 
@@ -166,7 +161,7 @@ def _check_whole(programme: Programme, device: Mounted) -> None:
 
 
 class _Run:
-    """A run in progress."""
+    """A run in progress, a context manager that stops the table and switches its motor off at the end."""
 
     def __init__(self, programme: Programme, bench: RigBench, devices: tuple[Mounted, ...], report: Report) -> None:
         self._programme, self._rig, self._clock, self._chamber = programme, bench.rig, bench.clock, bench.chamber
@@ -175,6 +170,22 @@ class _Run:
         self._due = devices  # devices that read the current step
         self._old_fault: str | None = None
         self._number, self._step, self._began, self._left_s = 0, programme.steps[0], bench.clock.now(), 0.0
+
+    def __enter__(self) -> "_Run":
+        return self
+
+    def __exit__(self, kind: object, cause: BaseException | None, trace: object) -> None:
+        with uninterrupted():  # a second Ctrl-C waits
+            try:
+                self._say("closing")
+            finally:
+                try:
+                    self._rig.close()
+                except RigError as error:
+                    if cause is None:
+                        raise
+                    reason = (str(cause) or type(cause).__name__).removesuffix(".")
+                    raise type(error)(f"{reason}. At the end: {error}") from cause
 
     def all_but(self, done: frozenset[int]) -> None:
         """Run the dwells that are not done, each after its mounting and its soak."""
@@ -189,20 +200,6 @@ class _Run:
                     self._left_s = sum(seconds for n, seconds in pending_s.items() if n >= self._number)
                     self._began = self._clock.now()
                     self._do(self._step)
-
-    def close(self, cause: BaseException | None) -> None:
-        """Stop the table and switch the motor off. A second Ctrl-C does not interrupt this."""
-        with uninterrupted():
-            try:
-                self._say("closing")
-            finally:
-                try:
-                    self._rig.close()
-                except RigError as error:
-                    if cause is None:
-                        raise
-                    reason = (str(cause) or type(cause).__name__).removesuffix(".")
-                    raise type(error)(f"{reason}. At the end: {error}") from cause
 
     @property
     def _where(self) -> str:
