@@ -64,14 +64,14 @@ class ManualRig:
                 return turned_deg * RADIAN_PER_DEGREE
         raise InputError("manual rig: three answers are not an angle in deg. Start again.")
 
-    def stop(self) -> None:
-        pass
-
     def position(self) -> Position:
         return Position(angle=self._angle, time=self._clock.now())
 
     def fault(self) -> str | None:
         return None
+
+    def stop(self) -> None:
+        pass
 
     def close(self) -> None:
         pass

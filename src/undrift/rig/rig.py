@@ -64,26 +64,26 @@ class Limits:
 
     def check_turn_rate(self, turn_rate: float) -> None:
         """Raise LimitError if a rate is beyond the limits."""
-        if not abs(turn_rate) <= self.turn_rate * ROUNDING:
-            raise _limit_error("turn rate", "deg/s in either direction", turn_rate, self.turn_rate)
+        _check_limit("turn rate", "deg/s in either direction", turn_rate, self.turn_rate)
 
     def check_acceleration(self, acceleration: float) -> None:
         """Raise LimitError if an acceleration is beyond the limits."""
-        if not 0.0 < acceleration <= self.acceleration * ROUNDING:
-            raise _limit_error("acceleration", "deg/s2 and more than 0", acceleration, self.acceleration)
+        _check_limit(
+            "acceleration", "deg/s2 and more than 0", acceleration, self.acceleration, allowed=acceleration > 0.0
+        )
 
     def check_travel(self, angle: float) -> None:
         """Raise LimitError if an angle is beyond the travel."""
-        if self.travel is not None and not abs(angle) <= self.travel * ROUNDING:
-            raise _limit_error("travel", "deg from the start", angle, self.travel)
+        _check_limit("travel", "deg from the start", angle, math.inf if self.travel is None else self.travel)
 
 
-def _limit_error(name: str, unit: str, value: float, largest: float) -> LimitError:
-    return LimitError(
-        f"{name}: at most {largest / DPS:.6g} {unit} is allowed, got {value / DPS:.6g}. Choose another value, or set another "
-        "limit.",
-        value=value,
-    )
+def _check_limit(name: str, unit: str, value: float, largest: float, *, allowed: bool = True) -> None:
+    if not (allowed and abs(value) <= largest * ROUNDING):
+        raise LimitError(
+            f"{name}: at most {largest / DPS:.6g} {unit} is allowed, got {value / DPS:.6g}. Choose another value, or set another "
+            "limit.",
+            value=value,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,9 +108,7 @@ class ServoReport:
 class Rig(Protocol):
     """One axis that turns a device."""
 
-    @property
-    def limits(self) -> Limits:
-        """Limits of the commands to the rig."""
+    limits: Limits  # limits of the commands to the rig
 
     def identify(self) -> str:
         """Return make, model and firmware."""

@@ -275,40 +275,37 @@ class SimulatedReadings:
     def __init__(self, bench: SimulatedBench, device: SimulatedDevice) -> None:
         self.description = description_of(device)
         self._bench, self._device = bench, device
-        self._kept: list[tuple[IntArray, FloatArray]] | None = None  # counts and rows of this dwell
+        self._dwell: list[tuple[IntArray, FloatArray]] = []  # counts and rows of this dwell
         self._newest = np.full(7, np.nan)
-        self._ended = False
+        self._is_open = False
 
     def take(self, now: float) -> None:
         """Read the device up to the current time."""
         counts, rows = self._device.read(now)
-        if not counts.size:
-            return
-        self._newest = rows[-1]
-        if self._kept is not None and not self._ended:
-            self._kept.append((counts, rows))
+        if counts.size:
+            self._newest = rows[-1]
+            self._dwell += [(counts, rows)] if self._is_open else []
 
     def start(self, *, certain: bool = True) -> None:
         self._bench.advance()
-        self._kept, self._ended = [], False
+        self._dwell, self._is_open = [], True
 
     def end(self) -> None:
         self._bench.advance()
-        self._ended = True
+        self._is_open = False
 
     def stop(self) -> Record:
-        self._bench.advance()
-        blocks, self._kept = self._kept, None
-        if blocks is None or sum(len(counts) for counts, _ in blocks) < 2:
+        self.end()
+        if sum(len(counts) for counts, _ in self._dwell) < 2:
             raise RigTimeout("device: fewer than two readings. Start a dwell, and use a longer one.")
-        counts, rows = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
+        counts, rows = (np.concatenate(parts) for parts in zip(*self._dwell, strict=True))
         return self.description.record(counts / self._device.rate, rows)
 
     def latest(self) -> str:
         return self.description.text_of(self._newest)
 
     def close(self) -> None:
-        self._kept = None
+        self._is_open = False
 
 
 def open_from(url: str, settings: RigSettings) -> SimulatedTable:
