@@ -165,13 +165,9 @@ def _achieved(log: RateLog, start: float, stop: float) -> tuple[float, float]:
     """Return the rate of a dwell and its standard uncertainty: a line through the angles, and the steps of their resolution."""
     rows = slice(*np.searchsorted(log.time, (start + SETTLE_S, stop - SETTLE_S)))
     t, phi = log.time[rows], log.angle[rows]
-    centred = t - t.mean()
-    square = float(centred @ centred)
-    slope = float(centred @ phi) / square
-    residual = phi - phi.mean() - slope * centred
-    scatter = float(np.sqrt(residual @ residual / (len(t) - 2) / square))
+    (slope, _), covariance = np.polyfit(t - t.mean(), phi - phi.mean(), 1, cov=True)
     coarse = log.resolution / float(np.ptp(t)) if log.has_angle else log.resolution
-    return slope, float(np.hypot(scatter, coarse / np.sqrt(6.0 if log.has_angle else 12.0)))
+    return float(slope), float(np.hypot(np.sqrt(covariance[0, 0]), coarse / np.sqrt(6.0 if log.has_angle else 12.0)))
 
 
 def _recorded(record: Record, line: LagLine, start: float, stop: float) -> slice | None:

@@ -55,10 +55,11 @@ def check_rig(
             raise InputError(
                 f"rig check: {rig.identify()} has no encoder, so it reports no following error. Check a servo table."
             )
-        if not 0.0 < turn_rate / ACCELERATION < 0.2 * HALF_PERIOD_S or not duration_s > 0.0:
+        fastest = 0.2 * HALF_PERIOD_S * ACCELERATION
+        if not 0.0 < turn_rate < fastest or not duration_s > 0.0:
             raise InputError(
-                f"rig check: the rate must be 0 to {0.2 * HALF_PERIOD_S * ACCELERATION / RADIAN_PER_DEGREE:g} deg/s and the "
-                f"duration positive, got {turn_rate / RADIAN_PER_DEGREE:g} deg/s for {duration_s:g} s. Correct them."
+                f"rig check: the rate must be 0 to {fastest / RADIAN_PER_DEGREE:g} deg/s and the duration positive, got "
+                f"{turn_rate / RADIAN_PER_DEGREE:g} deg/s for {duration_s:g} s. Correct them."
             )
         rig.limits.check_turn_rate(turn_rate)
         rig.limits.check_travel(turn_rate * HALF_PERIOD_S)
@@ -76,19 +77,15 @@ def _run_wave(
     identity, servo = rig.identify(), rig.read_servo()
     rig.enable(True)
     rig.set_acceleration(ACCELERATION)
-    ramp_s = abs(turn_rate) / ACCELERATION
-    end = clock.now() + duration_s
+    ramp_s, end = turn_rate / ACCELERATION, clock.now() + duration_s
     while (start := clock.now()) < end:
         report(f"step wave, {end - start:.0f} s left")
-        positions: list[Position] = []
+        positions = list[Position]()
         rig.turn_for(turn_rate, HALF_PERIOD_S)
         while (elapsed_s := clock.now() - start) < HALF_PERIOD_S - ramp_s:
-            error = abs(rig.following_error())
-            if elapsed_s < ramp_s + SETTLE_S:
-                run_up.append(error)
-            else:
-                steady.append(error)
-                positions.append(rig.position())
+            is_steady = elapsed_s >= ramp_s + SETTLE_S
+            (steady if is_steady else run_up).append(abs(rig.following_error()))
+            positions += [rig.position()] if is_steady else []
             clock.wait(READ_S)
         if len(positions) > 2:
             rates.append(abs(achieved_turn_rate(positions).turn_rate))
