@@ -7,31 +7,41 @@ import math
 import socket
 import threading
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from typing import Self
 
 from testkit.virtual_clock import VirtualClock
 
 
-class Sender:
-    """Device that sends pieces of bytes to its only client and stays open until it is closed or told to hang up."""
+class Listener:
+    """Server on a free port of loopback with its threads, as a context manager."""
 
-    def __init__(self, pieces: Iterable[bytes], hang_up: bool = False) -> None:
+    def __init__(self, *work: Callable[[], None]) -> None:
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.port: int = self._listener.getsockname()[1]
-        self._pieces, self._hang_up = pieces, hang_up
         self._end = threading.Event()
-        self._thread = threading.Thread(target=self._serve)
-        self._thread.start()
+        self._threads = [threading.Thread(target=run) for run in work]
+        for thread in self._threads:
+            thread.start()
 
-    def __enter__(self) -> "Sender":
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *failure: object) -> None:
         self._end.set()
         with contextlib.suppress(OSError):
             self._listener.shutdown(socket.SHUT_RDWR)
-        self._thread.join(10)
+        for thread in self._threads:
+            thread.join(10)
         self._listener.close()
+
+
+class Sender(Listener):
+    """Device that sends pieces of bytes to its only client and stays open until it is closed or told to hang up."""
+
+    def __init__(self, pieces: Iterable[bytes], hang_up: bool = False) -> None:
+        self._pieces, self._hang_up = pieces, hang_up
+        super().__init__(self._serve)
 
     def _serve(self) -> None:
         with contextlib.suppress(OSError):

@@ -2,8 +2,9 @@
 
 import contextlib
 import socket
-import threading
 import time
+
+from testkit.byte_sender import Listener
 
 CHANNELS = "count,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z,temp"
 
@@ -13,18 +14,13 @@ def resting(k: int) -> str:
     return f"{(k % 50) * 0.01:.4f},0.02,-0.01,0.01,0.02,9.81,{25.0 + k * 1e-4:.4f}"
 
 
-class TalkingDevice:
+class TalkingDevice(Listener):
     """Device that sends numbered lines to all listeners, as a context manager."""
 
     def __init__(self, rate: float = 200.0) -> None:
         self.rate, self.silent = rate, False
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self.port: int = self._listener.getsockname()[1]
         self._clients: list[socket.socket] = []
-        self._end = threading.Event()
-        self._threads = [threading.Thread(target=item) for item in (self._accept, self._talk)]
-        for thread in self._threads:
-            thread.start()
+        super().__init__(self._accept, self._talk)
 
     @property
     def address(self) -> str:
@@ -32,18 +28,10 @@ class TalkingDevice:
         options = f"channels={CHANNELS}&rate={self.rate:g}&gyro_unit=dps&accel_unit=m/s2&device=talker"
         return f"tcp://127.0.0.1:{self.port}?{options}"
 
-    def __enter__(self) -> "TalkingDevice":
-        return self
-
     def __exit__(self, *failure: object) -> None:
-        self._end.set()
-        with contextlib.suppress(OSError):
-            self._listener.shutdown(socket.SHUT_RDWR)
-        for thread in self._threads:
-            thread.join(10)
+        super().__exit__(*failure)
         for client in self._clients:
             client.close()
-        self._listener.close()
 
     def _accept(self) -> None:
         with contextlib.suppress(OSError):

@@ -111,13 +111,9 @@ class SerialPort:
 
     def receive(self, wait_s: float) -> bytes:
         """Return the bytes that have arrived."""
-        if wait_s <= 0.0:
-            return bytes(self._port.read(self._port.in_waiting)) if self._port.in_waiting else b""
-        if self._port.timeout != wait_s:
+        if self._port.timeout != wait_s:  # setting it takes time
             self._port.timeout = wait_s
-        first: bytes = self._port.read(1)
-        waiting = self._port.in_waiting if first else 0
-        return first + bytes(self._port.read(waiting)) if waiting else first
+        return bytes(self._port.read(max(self._port.in_waiting, 1)))
 
     def write(self, data: bytes) -> None:
         """Send all bytes, or raise OSError."""

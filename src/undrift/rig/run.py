@@ -332,9 +332,7 @@ class _Run:
 
     def _read(self, step: Dwell, devices: Iterable[Mounted]) -> tuple[dict[Mounted, Record], list[Position]]:
         """Read devices and encoder over a dwell."""
-        clock = self._clock
-        phase = "dwelling" if step.turn_rate != 0.0 else "resting"
-        every_s = min(POLL_S, step.dwell_s / POLLS)
+        clock, phase = self._clock, "dwelling" if step.turn_rate != 0.0 else "resting"
         self._say(phase)
         devices = [*self._sound(devices, lambda device: device.readings.start())]
         air_read_at, positions = clock.now(), list[Position]()
@@ -343,7 +341,9 @@ class _Run:
             if clock.now() - air_read_at > AIR_POLL_S:
                 self._check_air(step)
                 air_read_at = clock.now()
-            clock.wait(every_s)  # before each position, so that the delays of the link are equal
+            clock.wait(
+                min(POLL_S, step.dwell_s / POLLS)
+            )  # before each position, so that the delays of the link are equal
             positions.append(self._rig.position())
             latest = self._sound(devices, lambda dev: f"{dev.readings.latest()} of {dev.serial or 'the device'}")
             devices = [*latest]
