@@ -97,7 +97,8 @@ def test_steps_that_are_none_are_refused_on_opening(text):
         DriverBench("grbl", board)
 
 
-def test_open_safety_door_is_named(bench):
+def test_open_safety_door_is_a_fault_and_the_jog_is_refused(bench):
     bench.controller.state = "Door"
-    with pytest.raises(RigFault, match="safety door"):
+    assert "safety door" in bench.rig.fault()
+    with pytest.raises(RigFault, match="error 9"):
         bench.rig.turn_for(1.0, 2.0)

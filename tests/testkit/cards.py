@@ -196,6 +196,8 @@ class Board(Controller):
 
     def line(self, command: str) -> bytes:
         if result := re.fullmatch(r"\$J=G91G21A(-?[\d.]+)F([\d.]+)", command):
+            if self.state in ("Alarm", "Door", "Sleep"):
+                return b"error:9\r\n"
             self.jogs.append((float(result.group(1)), float(result.group(2))))
             self.place += self.jogs[-1][0]
             self.state, self.stays = "Jog", 3

@@ -129,9 +129,6 @@ class GalilRig(LinkedRig):
         self._command("BG")
         return actual
 
-    def _obstacle(self) -> str:
-        return "an axis that still moves" if self._is_moving() else ""
-
     def _is_moving(self) -> bool:
         return self.read("is moving") == 1.0
 
@@ -139,6 +136,7 @@ class GalilRig(LinkedRig):
         self._command("ST")
 
     def _come_to_rest(self) -> None:
+        self._resynchronise()
         try:
             self._stop()
         except (RigTimeout, RigFault):

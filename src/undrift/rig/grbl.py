@@ -146,10 +146,6 @@ class GrblRig(LinkedRig):
         self.do(f"$J=G91G21{AXES[self._axis]}{distance:.5f}F{60.0 * abs(rate):.3f}")
         return abs(rate)
 
-    def _obstacle(self) -> str:
-        state = self.state()
-        return "" if state == "Idle" else FAULTS.get(state, f"the state {state}")
-
     def _is_moving(self) -> bool:
         return self.state() in MOVING
 
@@ -158,6 +154,7 @@ class GrblRig(LinkedRig):
             self.send(JOG_CANCEL)
 
     def _come_to_rest(self) -> None:
+        self._resynchronise()
         with contextlib.suppress(RigTimeout, RigFault):
             self._wait_for_rest(4.0)  # a reset during motion loses the position
         self.reset()

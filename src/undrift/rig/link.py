@@ -192,10 +192,6 @@ class LinkedRig(Link):
         """Check that the table is free, configure the controller and store the initial position."""
 
     @abstractmethod
-    def _resynchronise(self) -> object:
-        """Ask a question with a unique answer, and discard all bytes before that answer."""
-
-    @abstractmethod
     def _switch(self, on: bool) -> bool:
         """Switch the motor on or off, and return True if the controller confirms it."""
 
@@ -212,10 +208,6 @@ class LinkedRig(Link):
         """Start a move by a distance, units, and return the magnitude of the rate that the controller has set, units/s."""
 
     @abstractmethod
-    def _obstacle(self) -> str:
-        """Return the reason why no move can start, or ""."""
-
-    @abstractmethod
     def _is_moving(self) -> bool:
         """Return True if the axis moves."""
 
@@ -225,7 +217,7 @@ class LinkedRig(Link):
 
     @abstractmethod
     def _come_to_rest(self) -> None:
-        """End the motion by all means, and put the link in step."""
+        """Put the link in step, with a question that has a unique answer. Then end the motion by all means."""
 
     @abstractmethod
     def _ask_position(self) -> float:
@@ -257,8 +249,8 @@ class LinkedRig(Link):
         rate, distance = self._plan_move(turn_rate / self.rad_per_unit, seconds)
         self.limits.check_travel((self._last - self._home + distance) * self.rad_per_unit)
         with self._guarded():
-            if obstacle := self._obstacle():
-                raise RigFault(f"{self.name}: the axis cannot turn, got {obstacle}. Stop it and check the table.")
+            if self._is_moving():
+                raise RigFault(f"{self.name}: the axis still moves. Stop it first.")
             actual = self._move(rate, distance)
         return math.copysign(actual, rate) * self.rad_per_unit
 
@@ -313,7 +305,6 @@ class LinkedRig(Link):
                 self._refused = "the connection was lost, and the controller may have lost its settings"
                 self._reconnect()
             self.shout(self.halt)  # at once (the next line discards the answer)
-            self._resynchronise()
             self._come_to_rest()
             return self._switch(False)
         except RigError as error:
