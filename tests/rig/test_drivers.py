@@ -6,7 +6,8 @@ import pytest
 
 from testkit.driver_bench import DriverBench
 from undrift.errors import InputError, LimitError, LinkError, RigFault, RigTimeout
-from undrift.rig import galil, grbl
+from undrift.rig.galil import GalilRig
+from undrift.rig.grbl import GrblRig
 from undrift.rig.rig import Limits, RigSettings
 
 SAFE = {
@@ -104,9 +105,9 @@ def test_refused_move_is_a_fault_with_its_code(kind, command, refusal, code):
         assert refused.value.code == code
 
 
-@pytest.mark.parametrize(("kind", "open_from"), [("galil", galil.open_from), ("grbl", grbl.open_from)])
-def test_nobody_there_and_an_axis_that_is_none_are_refused(kind, open_from):
+@pytest.mark.parametrize(("kind", "rig"), [("galil", GalilRig), ("grbl", GrblRig)])
+def test_nobody_there_and_an_axis_that_is_none_are_refused(kind, rig):
     with pytest.raises(RigTimeout, match="no answer"):
         DriverBench(kind, lambda command: None, reply_timeout_s=0.2)
     with pytest.raises(InputError, match=r"axis .*, got 'Q'"):
-        open_from("tcp://127.0.0.1:9", RigSettings(axis="Q"))
+        rig("tcp://127.0.0.1:9", RigSettings(axis="Q"))

@@ -178,34 +178,31 @@ def test_gaps_are_no_readings_and_a_few_are_counted(tmp_path):
         run(bench, tmp_path / "many", still, readings=device(3))
 
 
-def test_a_dwell_that_began_too_late_to_be_whole_is_read_again(tmp_path):
-    class LateOnce(Device):
-        stops = 0
+class LateOnce(Device):
+    """A device whose first dwell, or first turning dwell, is only half read."""
 
-        def stop(self):
-            record = super().stop()
-            LateOnce.stops += 1
-            return record.part(len(record) // 2, len(record)) if LateOnce.stops == 1 else record
+    def __init__(self, bench, turning=False):
+        super().__init__(bench)
+        self.turning, self.stops = turning, 0
 
+    def stop(self):
+        turns, record = abs(self.bench.turn_rate()) >= 0.1, super().stop()
+        self.stops += turns >= self.turning
+        return record.part(len(record) // 2, len(record)) if self.stops == 1 and turns >= self.turning else record
+
+
+def test_dwell_that_began_too_late_is_read_again(tmp_path):
     bench = simulated()
-    result, _ = run(bench, tmp_path, Protocol(faces=("+z",), face_s=2.0), readings=LateOnce)
-    assert LateOnce.stops == 2
+    late = LateOnce(bench)
+    result, _ = run(bench, tmp_path, Protocol(faces=("+z",), face_s=2.0), readings=lambda bench: late)
+    assert late.stops == 2
     assert result.pieces[0].samples >= 200
 
 
-def test_a_dwell_is_not_read_again_while_a_table_of_limited_travel_turns(tmp_path):
-    class LateOnce(Device):
-        turning = 0
-
-        def stop(self):
-            record = super().stop()
-            if abs(self.bench.turn_rate()) < 0.1:
-                return record
-            LateOnce.turning += 1
-            return record.part(len(record) // 2, len(record))
-
+def test_dwell_is_not_read_again_while_a_table_of_limited_travel_turns(tmp_path):
     bench = simulated(limits=replace(LIMITS, travel=1000.0))
+    late = LateOnce(bench, turning=True)
     with pytest.raises(RigTimeout, match=r"at least 80% of \d+ readings in step 3 .*, got \d+"):
-        run(bench, tmp_path, SHORT, readings=LateOnce)
+        run(bench, tmp_path, SHORT, readings=lambda bench: late)
     assert at_rest(bench)
-    assert LateOnce.turning == 1
+    assert late.stops == 1

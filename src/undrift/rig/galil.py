@@ -14,7 +14,7 @@ Sources: command references DMC-1400, 2x00 and 40x0.
 import math
 import re
 
-from undrift.errors import InputError, LinkError, RigFault, RigTimeout
+from undrift.errors import LinkError, RigFault, RigTimeout
 from undrift.rig.link import LinkedRig
 from undrift.rig.rig import COMMANDS, RigSettings, ServoReport, check_free, in_words, steady_angle, to_counts
 from undrift.units import RADIAN_PER_DEGREE
@@ -39,7 +39,7 @@ QUESTIONS = {  # command, and form of its answer
 }
 MODEL = r"([^?\x00-\x1f\x7f]+)"
 ERROR_CODE = r"\s*(\d{1,3})\b[^?]*"
-AXES = {letter: number for letters in ("ABCDEFGH", "XYZW") for number, letter in enumerate(letters)}
+AXES = "ABCDEFGHXYZW"  # A and X are the first axis
 
 
 STOPS_THAT_ARE_FAULTS = (2, 3, 6, 8, 99)
@@ -52,15 +52,14 @@ class GalilRig(LinkedRig):
 
     stopped = "The table was stopped and its motor switched off."
     unconfirmed = "It is NOT CONFIRMED that the table stopped. Cut the amplifier's power."
-    terminator, baud, unit = "\r", 19_200, "counts"
+    axes, default_axis = AXES, "X"
+    terminator, unit = "\r", "counts"
+    baud = 19_200
     reply_end = re.compile(rb"(?:^|\n)[:?]")  # prompt at the start of a line
 
     def __init__(self, url: str, settings: RigSettings = RigSettings()) -> None:
-        self.axis = settings.axis or "X"
         self.rad_per_unit, self.slack = settings.count, math.radians(10.0) / settings.count
-        self._commas, self._token, off = "," * AXES[self.axis], 41_000, f"MO{self.axis}\r".encode()
-        self.halt = f"ST{self.axis}\r".encode()
-        self.last_words = (self.halt, b"AB\r", off, off)  # the card rejects MO until AB has ended the motion
+        self._token = 41_000  # number that the card prints to resynchronise
         super().__init__(url, settings)
 
     def identify(self) -> str:
@@ -89,7 +88,9 @@ class GalilRig(LinkedRig):
             return ServoReport(sample_s=1e-6 * self.read("sample period"), **gains)
 
     def _prepare(self, settings: RigSettings) -> None:
-        largest = COMMANDS["PR"][1]
+        largest, off = COMMANDS["PR"][1], f"MO{self.axis}\r".encode()
+        self.halt = f"ST{self.axis}\r".encode()
+        self.last_words = (self.halt, b"AB\r", off, off)  # the card rejects MO until AB has ended the motion
         self._fastest, self._acceleration = settings.limits.turn_rate / self.rad_per_unit, START_ACCELERATION
         self._resynchronise()
         is_moving, is_on = self._is_moving(), self.read("is off") == 0.0
@@ -177,8 +178,9 @@ class GalilRig(LinkedRig):
 
     def set(self, name: str, value: float, *, tolerance: float = 0.0) -> float:
         """Set a parameter of the axis, read it back and return it."""
-        self.ask(f"{name} {self._commas}{value:.10g}")
-        actual = _number(self.ask(f"{name} {self._commas}?", NUMBER))
+        assignment = f"{name} {',' * (AXES.index(self.axis) % 8)}"
+        self.ask(f"{assignment}{value:.10g}")
+        actual = _number(self.ask(f"{assignment}?", NUMBER))
         if abs(actual - value) > tolerance:
             raise LinkError(
                 f"{self.name}: set {name} to {value:.10g}, but the card returned {actual:.10g}. Check cable and baud rate.",
@@ -213,10 +215,3 @@ def wrong_switches(byte: int, enabled: bool) -> list[str]:
         (not byte & 0x04, "the reverse limit switch is pressed"),
     )
     return [text for is_set, text in faults if is_set]
-
-
-def open_from(url: str, settings: RigSettings) -> GalilRig:
-    """Open a Galil rig."""
-    if settings.axis and settings.axis not in AXES:
-        raise InputError(f"galil: axis must be A to H, X, Y, Z or W, got '{settings.axis}'. Set another axis.")
-    return GalilRig(url, settings)

@@ -12,7 +12,7 @@ import contextlib
 import math
 import re
 
-from undrift.errors import InputError, LimitError, LinkError, RigFault, RigTimeout
+from undrift.errors import LimitError, LinkError, RigFault, RigTimeout
 from undrift.live.transports import number_of
 from undrift.rig.link import LinkedRig
 from undrift.rig.rig import RigSettings, check_free, in_words, steady_angle
@@ -44,13 +44,12 @@ class GrblRig(LinkedRig):
     stopped = "The table was stopped and its motor put to sleep."
     unconfirmed = "It is NOT CONFIRMED that the table stopped. Cut the motor's power."
     halt, last_words = JOG_CANCEL, (JOG_CANCEL + HOLD + RESET,)
-    baud, unit, rad_per_unit, slack = 115_200, "deg", RADIAN_PER_DEGREE, 1.0  # the clocks of driver and board differ
+    axes, default_axis = AXES, "A"
+    unit, rad_per_unit = "deg", RADIAN_PER_DEGREE
+    slack = 1.0  # the clocks of driver and board differ
+    baud = 115_200
     immediate = "?" + RESET.decode("latin-1")
     reply_end = re.compile(rb"(?:^|\n)(?:ok|error:\d{1,3})[ \t]*\r?\n")
-
-    def __init__(self, url: str, settings: RigSettings = RigSettings()) -> None:
-        self._axis = AXES.index(settings.axis or "A")
-        super().__init__(url, settings)
 
     def identify(self) -> str:
         """Return the firmware's greeting and the answer to ``$I``."""
@@ -88,7 +87,8 @@ class GrblRig(LinkedRig):
     def _stored(self, first: int) -> tuple[int, float]:
         """Return the number and the value of a setting of the axis. `first` is the number for the first axis."""
         settings = dict(line.removeprefix("$").split("=", 1) for line in self.do("$$") if line.startswith("$"))
-        number = first + self._axis if str(first + self._axis) in settings else first
+        index = first + AXES.index(self.axis)
+        number = index if str(index) in settings else first
         text = settings.get(str(number), "nothing").split(" ")[0]
         value = number_of(text)
         if not 0.0 < value < 1e9:
@@ -143,7 +143,7 @@ class GrblRig(LinkedRig):
         return rate, steps / self._steps_per_deg
 
     def _move(self, rate: float, distance: float) -> float:
-        self.do(f"$J=G91G21{AXES[self._axis]}{distance:.5f}F{60.0 * abs(rate):.3f}")
+        self.do(f"$J=G91G21{self.axis}{distance:.5f}F{60.0 * abs(rate):.3f}")
         return abs(rate)
 
     def _is_moving(self) -> bool:
@@ -162,10 +162,10 @@ class GrblRig(LinkedRig):
     def _ask_position(self) -> float:
         """Return the machine position of the axis, deg."""
         _, places = self.status()
-        index = self._axis if len(places) > 1 else 0
+        index = AXES.index(self.axis) if len(places) > 1 else 0
         if index >= len(places):
             raise LinkError(
-                f"{self.name}: no position of axis {AXES[self._axis]} among the {len(places)} positions. Set another axis."
+                f"{self.name}: no position of axis {self.axis} among the {len(places)} positions. Set another axis."
             )
         return places[index]
 
@@ -214,10 +214,3 @@ class GrblRig(LinkedRig):
             if not KNOWN.fullmatch(line):
                 raise LinkError(f"{self.name}: {line!r} is not an answer to '{question}'. Check cable and baud rate.")
         return lines
-
-
-def open_from(url: str, settings: RigSettings) -> GrblRig:
-    """Open a GRBL rig."""
-    if settings.axis not in ("", *AXES):
-        raise InputError(f"grbl: axis must be X, Y, Z, A, B or C, got '{settings.axis}'. Set another axis.")
-    return GrblRig(url, settings)

@@ -15,7 +15,7 @@ import logging
 import math
 import re
 from abc import abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 
 from undrift.base.clock import HOST, Clock, Port
@@ -166,10 +166,14 @@ class LinkedRig(Link):
     last_words: tuple[bytes, ...] = ()  # commands to a controller that does not answer
     unit, rad_per_unit = "", 1.0  # unit of positions, rad
     slack = 0.0  # tolerance of the check of positions, units
-    baud = 0  # default, bits per second
+    baud, default_axis = 0, ""  # bits per second, and letter
+    axes: Sequence[str] = ()  # letters of the axes
 
     def __init__(self, url: str, settings: RigSettings = RigSettings()) -> None:
-        self.limits = settings.limits
+        self.limits, self.axis = settings.limits, settings.axis or self.default_axis
+        if self.axis not in self.axes:
+            letters = ", ".join(self.axes)
+            raise InputError(f"rig: axis must be one of {letters}, got '{self.axis}'. Set another axis.")
         self._enabled = False
         self._refused = ""  # reason to refuse all commands
         self._acceleration = math.inf  # of both ramps, units/s2

@@ -263,7 +263,12 @@ def in_words(kind: str, code: int) -> str:
 # ---- Addresses.
 
 # function that opens a rig, by kind
-CONTROLLERS = {kind: f"undrift.rig.{kind}:open_from" for kind in ("galil", "grbl", "manual", "simulated")}
+CONTROLLERS = {
+    "galil": "undrift.rig.galil:GalilRig",
+    "grbl": "undrift.rig.grbl:GrblRig",
+    "manual": "undrift.rig.manual:open_from",
+    "simulated": "undrift.rig.simulated:open_from",
+}
 GROUP = "undrift.rigs"
 OPTIONS: Types = {"encoder_lines": int, "axis": str.upper, "baud": int, "reply_timeout_s": float}
 SIMULATED_OPTIONS: Types = {"encoder_lines": int, "clock_speed": float}
