@@ -1,16 +1,14 @@
 """Dwells: no reading that the device took before the start enters, however late it comes. All times are scripted."""
 
-import queue
-from concurrent.futures import ThreadPoolExecutor, wait
+import itertools
 
 import numpy as np
 import pytest
 
 from testkit.byte_sender import Paced, Sender
 from testkit.virtual_clock import VirtualClock
-from testkit.waiting import LONG_S, eventually
+from testkit.waiting import LONG_S
 from undrift.errors import InputError, LinkError, RigTimeout
-from undrift.live.decoder import Chunk, StreamDescription
 from undrift.live.recorder import DwellReadings, Recorder
 from undrift.live.transports import source_at
 
@@ -18,82 +16,43 @@ RATE = 100.0
 CONNECTED = 50.0  # host s
 
 
-class Scripted:
-    """A device that takes reading k, of value k, at k / RATE s of the host; the test says when readings arrive."""
-
-    name, errors = "scripted", 0
-    description = StreamDescription(channels=("count", "gyro_x", "gyro_y", "gyro_z"), rate=RATE)
-
-    def __init__(self):
-        self.host, self.sent = CONNECTED, 0.0
-        self.first = None
-        self._chunks = queue.Queue()
-
-    def open(self):
-        pass
-
-    def close(self):
-        pass
-
-    def read(self, wait_s):
-        try:
-            return self._chunks.get(timeout=wait_s)
-        except queue.Empty:
-            return None
-
-    def deliver(self, up_to, host):
-        """Let the readings taken up to a moment arrive at another."""
-        taken = np.arange(np.floor(self.sent * RATE) + 1.0, np.floor(up_to * RATE + 1e-9) + 1.0)
-        self.first = taken[0] if self.first is None else self.first
-        self.host, self.sent = host, taken[-1] / RATE
-        values = np.repeat(taken[:, None], 3, axis=1)
-        self._chunks.put(Chunk(host_time=host, counter=taken, values=values))
+THREE = "?channels=count,gyro_x,gyro_y,gyro_z&rate=100"
 
 
 class Bench:
-    """A recorder whose clock is the script's, and dwells of it."""
+    """Dwells of a device that takes reading k, of value k, at k / RATE s of the host.
 
-    def __init__(self, source, steps):
-        self.source, self.steps = source, iter(steps)
-        self.recorder = Recorder(source, silence_s=LONG_S)
-        self.recorder.now = lambda: self.source.host
-        self.dwells = DwellReadings(self.recorder, deadline_s=LONG_S)
+    A step contains the time of the last reading of a packet, and the time at which that packet arrives, host s.
+    """
+
+    def __init__(self, steps, deadline_s=LONG_S):
+        pieces, sent = [], 0
+        for taken, arrival in itertools.takewhile(lambda step: step[1] < CONNECTED + 20.0, steps):
+            last = int(np.floor(taken * RATE + 1e-9))
+            pieces.append((arrival - CONNECTED, b"".join(b"%d,%d,0,0\n" % (k, k) for k in range(sent + 1, last + 1))))
+            sent = last
+        self.clock = VirtualClock()
+        self.clock.jump(CONNECTED)
+        device = Paced(self.clock, pieces)
+        source = source_at(f"tcp://127.0.0.1:{device.port}{THREE}", clock=self.clock)
+        self.recorder = Recorder(source, silence_s=LONG_S, clock=self.clock)
+        self.dwells = DwellReadings(self.recorder, deadline_s)
 
     def __enter__(self):
-        self.step()
         self.recorder.start()
         return self
 
     def __exit__(self, *failure):
         self.recorder.stop()
 
-    def step(self):
-        self.source.deliver(*next(self.steps))
-
-    def up_to(self, host):
-        """Let all arrive that arrives up to a moment."""
-        while self.source.host < host:
-            self.step()
-        readings = self.source.sent * RATE - self.source.first + 1
-        eventually(lambda: self.recorder.timeline.readings >= round(readings), "all that was sent")
-
-    def during(self, call):
-        """Call what may wait for readings; they arrive for as long as it does."""
-        with ThreadPoolExecutor(1) as pool:
-            waiting = pool.submit(call)
-            while not wait((waiting,), timeout=0.02).done:
-                self.step()
-            return waiting.result()
-
     def dwell(self, start, length):
-        """Return when the readings of a dwell were taken, host s, and when start returned."""
-        self.up_to(start)
-        began = self.source.host
-        self.during(self.dwells.start)
-        returned = self.source.host
-        self.up_to(returned + length)
-        record = self.during(self.dwells.stop)
-        return record.gyro[:, 0] / RATE - began, returned - began
+        """Return when the readings of a dwell were taken, and how long its start waited, s from the start."""
+        self.clock.wait(start - self.clock.now())
+        began = self.clock.now()
+        self.dwells.start()
+        waited = self.clock.now() - began
+        self.clock.wait(length)
+        return self.dwells.stop().gyro[:, 0] / RATE - began, waited
 
 
 def backlog(behind_s, speed, packet_s=0.02, jitter_s=0.004, latency_s=0.002):
@@ -108,7 +67,7 @@ def backlog(behind_s, speed, packet_s=0.02, jitter_s=0.004, latency_s=0.002):
 
 
 def test_a_backlog_from_before_the_start_does_not_enter_a_dwell():
-    with Bench(Scripted(), backlog(behind_s=3.0, speed=4.0)) as bench:  # drains for 1 s
+    with Bench(backlog(behind_s=3.0, speed=4.0)) as bench:  # drains for 1 s
         taken, waited = bench.dwell(CONNECTED + 0.1, 0.5)  # over, by a clock of the first packets, while it drains
         assert taken[0] >= 0.0
         assert taken[-1] - taken[0] >= 0.5 - 0.05
@@ -131,7 +90,7 @@ def test_a_clock_known_from_late_packets_alone_does_not_open_a_dwell_early(late_
             arrived = max(arrived + 1e-4, taken + late)
             yield taken, arrived
 
-    with Bench(Scripted(), steps()) as bench:
+    with Bench(steps()) as bench:
         taken, _ = bench.dwell(CONNECTED + 0.5, 0.5)
         assert taken[0] >= 0.0
         assert taken[-1] - taken[0] >= 0.4
@@ -146,24 +105,17 @@ def test_what_comes_after_the_start_checks_it_again():
             host += 0.02
             yield (host - 0.3 if host < CONNECTED + 1.5 else host), host
 
-    with Bench(Scripted(), steps()) as bench:
+    with Bench(steps()) as bench:
         taken, _ = bench.dwell(CONNECTED + 1.0, 2.0)
         assert taken[0] >= 0.0
         assert taken[-1] > 1.8
 
 
 def test_a_stream_that_goes_on_catching_up_opens_no_dwell():
-    with Bench(Scripted(), backlog(behind_s=45.0, speed=1.5)) as bench:
-        bench.up_to(CONNECTED + 1.0)
-        bench.dwells = DwellReadings(bench.recorder, deadline_s=0.3)
-        with pytest.raises(
-            RigTimeout,
-            match=r"certainly later .*within 0.3 s, got a backlog",
-        ):
-            bench.during(bench.dwells.start)
-
-
-THREE = "?channels=count,gyro_x,gyro_y,gyro_z&rate=100"
+    with Bench(backlog(behind_s=45.0, speed=1.5), deadline_s=0.3) as bench:
+        bench.clock.wait(1.0)
+        with pytest.raises(RigTimeout, match=r"certainly later .*within 0.3 s, got a backlog"):
+            bench.dwells.start()
 
 
 def paced(rows: int, period_s: float = 0.01, skip=()):
