@@ -95,8 +95,8 @@ class Device:
     def __init__(self, bench, number=0):
         self.bench, self.readings = bench, bench.readings[number]
 
-    def start(self, *, certain=True):
-        self.readings.start(certain=certain)
+    def start(self):
+        self.readings.start()
 
     def end(self):
         self.readings.end()

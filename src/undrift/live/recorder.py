@@ -79,20 +79,18 @@ class Recorder:
         )
         return self._newest()
 
-    def between(self, start: float, stop: float, deadline_s: float = 5.0, *, first: float | None = None) -> Record:
-        """Return the readings between two host times, s. `first` is a device time from `begun` that excludes earlier readings."""
+    def between(self, start: float, stop: float, deadline_s: float = 5.0, *, first: float = -np.inf) -> Record:
+        """Return the readings that were certainly taken between two host times, s. `first` is a device time from `begun`."""
         if not start < stop:
             raise InputError(f"readings: start must be before stop, got {start:.3f} and {stop:.3f} s. Swap them.")
-        certain = first is not None
 
         def is_complete() -> bool:
             fit = self.timeline.clock() if self._ring else None
-            return fit is not None and fit.settled >= certain and fit.host_time(self._newest()) >= stop
+            return fit is not None and fit.settled and fit.host_time(self._newest()) >= stop
 
         self._wait(is_complete, max(stop - self.now(), 0.0) + deadline_s, "readings up to the end of a dwell")
         with self._news:
-            fit = self.timeline.clock()
-            first = fit.device_time(start) if first is None else max(first, self._first_after(start))
+            fit, first = self.timeline.clock(), max(first, self._first_after(start))
             if first < self._forgotten:
                 raise InputError(
                     f"readings: the start was {self.now() - start:.1f} s ago, but the recorder stores only "
@@ -102,17 +100,13 @@ class Recorder:
             times, values = _joined(self._ring)
         # compared in host time, as in `is_complete`, because conversion with rounding could omit the last reading
         inside = (times >= first) & (fit.host_zero + fit.rate * (times - fit.device_zero) <= stop)
-        if (count := int(inside.sum())) >= 2:
-            return self.source.description.record(times[inside], values[inside])
-        if certain:
+        if (count := int(inside.sum())) < 2:
             raise RigTimeout(
                 f"{self.source.name}: at least two readings must be certainly later than the start of a dwell of "
                 f"{stop - start:.3f} s, got {count}. The link is late. Use a longer dwell.",
                 readings=count,
             )
-        raise InputError(
-            f"readings: at least two are required in {stop - start:.3f} s, got {count}. Use a longer dwell."
-        )
+        return self.source.description.record(times[inside], values[inside])
 
     def since(self, device_time: float = -np.inf) -> Record | None:
         """Return the readings after a device time, s, without waiting, or None if there are fewer than two.
@@ -216,21 +210,18 @@ def _joined(blocks: Iterable[Block]) -> tuple[FloatArray, FloatArray]:
 
 
 class DwellReadings:
-    """Readings of a started recorder, dwell by dwell. By default, readings before ``start`` are excluded."""
+    """Readings of a started recorder, dwell by dwell. Readings before ``start`` are excluded."""
 
     def __init__(self, recorder: Recorder, deadline_s: float = 5.0) -> None:
         self.recorder = recorder
         self._deadline_s = deadline_s
-        self._start: float | None = None
-        self._first: float | None = None  # first certain reading, device time, s
+        self._start: tuple[float, float] | None = None  # start, host s, and first certain reading, device s
         self._end: float | None = None
 
-    def start(self, *, certain: bool = True) -> None:
-        """Start a dwell now. With `certain`, wait until a reading is certainly after the start."""
-        self.recorder.check()
+    def start(self) -> None:
+        """Start a dwell now, and wait for a reading that is certainly after the start."""
         start = self.recorder.now()
-        self._first = self.recorder.begun(start, self._deadline_s) if certain else None
-        self._start, self._end = start, None
+        self._start, self._end = (start, self.recorder.begun(start, self._deadline_s)), None
 
     def end(self) -> None:
         """End the dwell now, independent of the time of ``stop``."""
@@ -240,9 +231,9 @@ class DwellReadings:
         """Return the readings since ``start``."""
         if self._start is None:
             raise InputError("dwell: no dwell was started. Start it first.")
-        start, self._start = self._start, None
+        (start, first), self._start = self._start, None
         stop = self.recorder.now() if self._end is None else self._end
-        return self.recorder.between(start, stop, self._deadline_s, first=self._first)
+        return self.recorder.between(start, stop, self._deadline_s, first=first)
 
     def latest(self) -> str:
         """Return the latest reading as text."""

@@ -251,7 +251,7 @@ def open_chamber(
 class Readings(Protocol):
     """Readings of a device as they arrive."""
 
-    def start(self, *, certain: bool = True) -> None:
+    def start(self) -> None:
         """Start to store the readings that the device takes from now on."""
 
     def end(self) -> None:
@@ -291,7 +291,7 @@ class BoardWatch:
         self.temp_c: float | None = None  # latest temperature of the device, degC
         self._since, self._next, self._air_since = clock.now(), clock.now() + FIRST_LOOK_S, math.inf
         self._has_looked = False
-        readings.start(certain=False)  # the board changes slowly, so the exact start does not matter
+        readings.start()
 
     def __str__(self) -> str:
         return "" if self.temp_c is None else f", device {self.temp_c:.2f} degC"
@@ -321,7 +321,7 @@ class BoardWatch:
     def _look(self, now: float) -> None:
         """Read the mean temperature since the previous reading."""
         temp_c = mean_temp(self._readings.stop())
-        self._readings.start(certain=False)
+        self._readings.start()
         if temp_c is not None:
             self.temp_c = temp_c
             self._steadiness.add(0.5 * (self._since + now), temp_c)

@@ -286,7 +286,7 @@ class SimulatedReadings:
             self._newest = rows[-1]
             self._dwell += [(counts, rows)] if self._is_open else []
 
-    def start(self, *, certain: bool = True) -> None:
+    def start(self) -> None:
         self._bench.advance()
         self._dwell, self._is_open = [], True
 
