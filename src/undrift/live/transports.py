@@ -270,7 +270,7 @@ class LslSource(ByteSource):
 
     def _poll(self, wait_s: float) -> FloatArray:
         try:
-            samples, stamps = self.port.pull_chunk(timeout=wait_s)
+            samples, stamps = self.port.pull_chunk(timeout=min(wait_s, POLL_S))  # which waits even if samples arrive
         except (RuntimeError, OSError) as error:  # pylsl's LostError is a RuntimeError
             raise LinkError(f"{self.name}: the stream is lost ({error}). Start the sender again.") from error
         width = len(self.description.channels)
