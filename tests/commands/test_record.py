@@ -12,6 +12,7 @@ import pytest
 
 from testkit.data import show
 from testkit.printing_board import PrintingBoard, sketch_line
+from testkit.waiting import eventually
 from undrift.base.clock import Clock
 from undrift.commands.bench import source
 from undrift.commands.files import Place
@@ -78,7 +79,13 @@ def test_what_cannot_be_recorded_is_refused(undrift, tmp_path, words, wanted):
 
 def test_a_cable_that_is_pulled_is_one_line_and_costs_nothing(undrift, tmp_path, monkeypatch, board):
     monkeypatch.setattr(sys.modules["undrift.commands.record"], "LOST_S", 2.0)
-    threading.Timer(6.0, board.unplug).start()
+    csv = tmp_path / "a.parquet.csv"
+
+    def unplug():
+        eventually(lambda: csv.exists() and csv.stat().st_size > 15_000, "two seconds of readings")
+        board.unplug()
+
+    threading.Thread(target=unplug).start()
     answer = undrift("record", board.port, "-o", tmp_path / "a.parquet", "--json")
     assert answer.code == 3, answer
     error = answer.json()["error"]
