@@ -39,6 +39,14 @@ def test_every_step_agrees_with_the_plain_twin(drift, g, adc):
     assert not got.gyro.flags.writeable
 
 
+@pytest.mark.parametrize("change", [{"offset": np.array([1e4, -1e4, 1e4])}, {"matrix": np.eye(3) * 7.0}])
+def test_a_constant_that_a_table_replaces_has_no_say(change):
+    r, c = record(), device(drift=tables(scale=STEPS))
+    other = replace(c, gyro=replace(c.gyro, **change), accel=replace(c.accel, **change))
+    assert correct_checked(r, c).record.gyro.tobytes() == correct_checked(r, other).record.gyro.tobytes()
+    assert correct_checked(r, c).record.accel.tobytes() == correct_checked(r, other).record.accel.tobytes()
+
+
 @pytest.mark.parametrize("n", [256, 257, 700], ids=str)
 def test_long_records_agree_with_the_twin_to_their_last_sample(n):
     r, c = record(n), device(g=True, drift=tables(scale=WILD), adc=ROUNDINGS[1])

@@ -1,12 +1,9 @@
 """Nodes that no data were near: time spent there, against a plain twin, batch and stream.
 
 Corrected readings beyond what a fit has seen: counted, with the worst, in chunks as at once.
-
-How long marked samples last: by their own clock, in one piece or in many.
 """
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -14,7 +11,6 @@ import pytest
 from testkit import twins
 from testkit.full_calibration import GAP, STEPS, WILD, N, device, record, tables
 from undrift.correction.correct import Corrector, correct_checked
-from undrift.correction.coverage import seconds_of
 from undrift.errors import DriftRangeError
 from undrift.model import DriftTables, DynamicDrift
 
@@ -108,12 +104,3 @@ def test_mark_on_a_node_of_rate_and_temperature_counts_there():
         c = device(g=False, gyro=model, drift=DriftTables(dynamic=error))
         r = record(9, gyro=np.repeat(rate, 3)[:, None] * np.ones(3), accel=None, temp_c=np.tile(temp, 3))
         np.testing.assert_array_equal(correct_checked(r, c).extrapolated, marks.T.ravel())
-
-
-def test_pieces_add_up_to_the_whole():
-    rng = np.random.default_rng(5)
-    time = 1.7e9 + np.cumsum(rng.uniform(0.003, 0.4, 1000))
-    mask = rng.random(1000) < 0.5
-    bounds = [0, 2, 7, 333, 500, 998, 1000]
-    pieces = [seconds_of(mask[a:b], time[a:b], None if a == 0 else float(time[a - 1])) for a, b in pairwise(bounds)]
-    assert sum(pieces) == pytest.approx(seconds_of(mask, time, None))

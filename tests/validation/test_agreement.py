@@ -29,17 +29,6 @@ def test_the_published_example_gives_the_published_coefficient():
     assert found.minimal_detectable_change == pytest.approx(1.96 * np.sqrt(2.0) * sem, abs=0.01)
 
 
-def test_the_interval_covers_the_true_coefficient():
-    rng = np.random.default_rng(0)
-    inside, truth = 0, 4.0 / (4.0 + 0.5 + 1.0)
-    for _ in range(600):
-        table = 2.0 * rng.normal(size=(15, 1)) + np.sqrt(0.5) * rng.normal(size=(1, 3)) + rng.normal(size=(15, 3))
-        low, high = intraclass_correlation(table).interval
-        inside += low <= truth <= high
-    show("coverage of the interval of ICC(2,1)", inside / 600, 0.95)
-    assert 0.925 < inside / 600 < 0.975  # 600 draws: one deviation is 0.9 %; its F is approximate
-
-
 def test_a_wrong_verdict_is_as_rare_as_the_level_says():
     """Differences at the margin, where each verdict but one is wrong; and equal errors, which are equivalent."""
     rng = np.random.default_rng(3)

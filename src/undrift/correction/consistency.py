@@ -8,7 +8,7 @@ from undrift.arrays import FloatArray
 from undrift.calibration.triads import check_agreement
 from undrift.errors import InputError
 from undrift.findings import Finding, finding
-from undrift.model import Calibration
+from undrift.model import SENSORS, Calibration
 from undrift.record import Record, Still, TemperatureSensitivity
 from undrift.segments import find_still, unpadded
 from undrift.sync import padding
@@ -48,24 +48,27 @@ def check_device(
             stills = find_still(record).stills
         except InputError:  # shorter than a window
             return ()
-    rests = tuple(still for still in stills if still.stop <= len(record) and _whole(record, still))
+    readings = {name: values for name in SENSORS if (values := getattr(record, name)) is not None}
+    whole = np.isfinite(np.hstack([*readings.values()])).all(axis=1)
+    rests = [still for still in stills if still.stop <= len(record) and whole[still.start : still.stop].all()]
     if not rests:
         return ()
     local_gravity = calibration.gravity_m_s2  # parameters of other programs do not state it
     gravity = local_gravity if np.isfinite(local_gravity) else STANDARD_GRAVITY
-    departure, usual = _departure_k(record, calibration), TemperatureSensitivity()
+    departure_k, usual = _departure_k(record, calibration), TemperatureSensitivity()
     tabled = calibration.drift is not None and calibration.drift.static is not None
     per_k = usual.gyro_offset_dps_per_k * RADIAN_PER_DEGREE, usual.accel_offset_mg_per_k * 1e-3 * STANDARD_GRAVITY
     deviation, expected, reversed_ = {"gyro": np.nan, "accel": np.nan}, {"gyro": np.nan, "accel": np.nan}, False
-    for triad, readings, ideal, residual_sigma, sigma_per_k in zip(
-        calibration.triads, (record.gyro, record.accel), (0.0, gravity), (LEFT_RATE, LEFT_ACCEL), per_k, strict=True
+    for triad, ideal, residual_sigma, sigma_per_k in zip(
+        calibration.triads, (0.0, gravity), (LEFT_RATE, LEFT_ACCEL), per_k, strict=True
     ):
-        if (model := triad.model) is None or readings is None:
+        name, model = triad.sensor, triad.model
+        if model is None or name not in readings:
             continue
-        means = np.array([readings[rest.start : rest.stop].mean(axis=0) for rest in rests])
+        means = np.array([readings[name][rest.start : rest.stop].mean(axis=0) for rest in rests])
         fit = float(np.sqrt(np.nansum(np.diag(model.offset_covariance)))) * triad.si  # other programs state none
-        rms = deviation[triad.sensor] = _rms(np.linalg.norm(means, axis=1) - ideal)
-        expected[triad.sensor] = math.hypot(fit, residual_sigma, 0.0 if tabled else sigma_per_k * departure)
+        rms = deviation[name] = _rms(np.linalg.norm(means, axis=1) - ideal)
+        expected[name] = math.hypot(fit, residual_sigma, 0.0 if tabled else sigma_per_k * departure_k)
         # readings with the opposite sign: M (-u - o) = -f - 2 M o, of f = M (u - o)
         reversed_force = -means - 2.0 * model.matrix @ model.offset * triad.si
         reversed_ = rms > LEAST_LEFT and _rms(np.linalg.norm(reversed_force, axis=1) - gravity) < REVERSED * rms
@@ -89,14 +92,8 @@ def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _whole(record: Record, rest: Still) -> bool:
-    """Return True if a rest has no gaps."""
-    triads = (values[rest.start : rest.stop] for values in (record.gyro, record.accel) if values is not None)
-    return all(np.isfinite(values).all() for values in triads)
-
-
 def _departure_k(record: Record, calibration: Calibration) -> float:
-    if record.temp_c is None or not np.isfinite(calibration.reference_temp_c):
-        return UNKNOWN_DEPARTURE_K
-    distance = np.abs(record.temp_c - calibration.reference_temp_c)
+    """Return the mean distance of the recording from the temperature of the calibration."""
+    temp_c = np.full(1, np.nan) if record.temp_c is None else record.temp_c
+    distance = np.abs(temp_c - calibration.reference_temp_c)
     return float(np.nanmean(distance)) if np.isfinite(distance).any() else UNKNOWN_DEPARTURE_K

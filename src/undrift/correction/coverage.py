@@ -54,10 +54,8 @@ def find_outside(
         margin = BEYOND_SEEN_C * (2.0 if drift.lag_s > 0.0 else 1.0)
         low, high = max(low, data[0] - margin), min(high, data[1] + margin)
     least, greatest = extremes(temp_c)
-    if least >= low and greatest <= high:
-        return None
-    mask = (temp_c < low) | (temp_c > high)
-    if mask.any() and not allowed:
+    mask = (temp_c < low) | (temp_c > high) if least < low or greatest > high else None
+    if mask is not None and not allowed:
         raise DriftRangeError(
             f"drift table: expected temperatures from {low:g} to {high:g} degC, got {least:.1f} to {greatest:.1f} degC, "
             f"{seconds_of(mask, record.time, before):.1f} s of them outside{_other_unit(least, greatest, (low, high))}. "
@@ -83,30 +81,32 @@ def find_extrapolated(temp_c: FloatArray, plans: Plans, corrected: tuple[FloatAr
     mask: BoolArray | None = None
     for plan, rates in zip(plans, corrected, strict=True):
         for table in () if plan is None else plan.tables:
-            if plan is not None and (weight := _weight_of_marks(table, temp_c, rates)) is not None:
-                used = (weight > ON_NODE) & (temp_c >= plan.temp_range[0]) & (temp_c <= plan.temp_range[1])
+            if plan is not None and _meets_marks(table, temp_c):
+                used = _weight_of_marks(table, temp_c, rates) > ON_NODE
+                used &= (temp_c >= plan.temp_range[0]) & (temp_c <= plan.temp_range[1])
                 mask = used if mask is None else mask | used
     return mask
 
 
-def _weight_of_marks(table: LookupTable, temp_c: FloatArray, rates: FloatArray) -> FloatArray | None:
-    """Return the interpolation weight (N,) of extrapolated nodes in a table's values, or None if none is near."""
-    nodes, marks = table.temp.nodes, table.extrapolated
-    least, greatest = extremes(temp_c)
-    if (
-        marks is None
-        or not marks[max(int(nodes.searchsorted(least, "right")) - 1, 0) : nodes.searchsorted(greatest) + 1].any()
-    ):
-        return None
+def _meets_marks(table: LookupTable, temp_c: FloatArray) -> bool:
+    """Return True if a node next to any of the temperatures is marked as extrapolated."""
+    if table.extrapolated is None:
+        return False
+    nodes, (least, greatest) = table.temp.nodes, extremes(temp_c)
+    near = slice(max(int(nodes.searchsorted(least, "right")) - 1, 0), int(nodes.searchsorted(greatest)) + 1)
+    return bool(table.extrapolated[near].any())
+
+
+def _weight_of_marks(table: LookupTable, temp_c: FloatArray, rates: FloatArray) -> FloatArray:
+    """Return the interpolation weight (N,) of extrapolated nodes in a table's values."""
+    marks = np.asarray(table.extrapolated, dtype=float)
     if table.turn_rate is None:
-        return np.interp(temp_c, nodes, marks)
+        return np.asarray(np.interp(temp_c, table.temp.nodes, marks))
     from scipy.interpolate import RegularGridInterpolator
 
-    rate_nodes = table.turn_rate.nodes
-    weight = RegularGridInterpolator((nodes, rate_nodes), marks.astype(float), bounds_error=False)
-    return np.asarray(
-        np.fmax.reduce([weight((temp_c, rate)) for rate in np.clip(rates, rate_nodes[0], rate_nodes[-1]).T])
-    )
+    weight = RegularGridInterpolator((table.temp.nodes, table.turn_rate.nodes), marks, bounds_error=False)
+    inside = np.clip(rates, *table.turn_rate.nodes[[0, -1]])
+    return np.asarray(np.fmax.reduce([weight((temp_c, rate)) for rate in inside.T]))
 
 
 def temperature_reach(temp_c: FloatArray, calibration: Calibration, plans: Plans) -> tuple[Span, float]:
@@ -136,8 +136,8 @@ def extremes(values: FloatArray) -> Span:
 def coverage_findings(reach: Reach, calibration: Calibration) -> tuple[Finding, ...]:
     """Return findings about readings beyond the tables, or beyond the temperatures of constant offsets."""
     drift, findings = calibration.drift, list[Finding]()
-    if reach.seconds_without_temperature > 0.0:
-        seconds = reach.seconds_without_temperature
+    extend = "Extend the thermal session to these temperatures and rates."
+    if (seconds := reach.seconds_without_temperature) > 0.0:
         sentence = f"The drift table has no temperature for {seconds:.1f} s, and the result is a gap (NaN) there."
         findings.append(
             finding("correct.no_temperature", "warn", sentence, "Fill in the temperature.", seconds=seconds)
@@ -145,19 +145,13 @@ def coverage_findings(reach: Reach, calibration: Calibration) -> tuple[Finding, 
     if (seconds := reach.seconds_outside) > 0.0:
         low, high, lag_s = *reach.temp_c, drift.lag_s if drift else 0.0
         lag = f", after subtraction of {lag_s:g} s of thermometer lag" if lag_s else ""
-        findings.append(
-            _outside(
-                f"{seconds:.1f} s are outside the drift table: {low:.1f} to {high:.1f} degC were recorded{lag}.",
-                seconds=seconds,
-            )
-        )
+        sentence = f"{seconds:.1f} s are outside the drift table: {low:.1f} to {high:.1f} degC were recorded{lag}."
+        findings.append(finding("correct.outside", "warn", sentence, extend, seconds=seconds))
     if (seconds := reach.seconds_extrapolated) > 0.0:
-        findings.append(
-            _outside(
-                f"The drift table is extrapolated for {seconds:.1f} s: it has no data near these temperatures and rates.",
-                seconds=seconds,
-            )
+        sentence = (
+            f"The drift table is extrapolated for {seconds:.1f} s: it has no data near these temperatures and rates."
         )
+        findings.append(finding("correct.outside", "warn", sentence, extend, seconds=seconds))
     if (departure := reach.departure_c) > REFERENCE_SPAN_C:
         size, reference_c = told_apart(departure, ".1f", REFERENCE_SPAN_C), calibration.reference_temp_c
         sentence = f"The temperature departs by up to {size} degC from the reference, {reference_c:.1f} degC. Constant offsets are "
@@ -169,19 +163,11 @@ def coverage_findings(reach: Reach, calibration: Calibration) -> tuple[Finding, 
         least, greatest, first, last = np.degrees((*reach.turn_rate, rates[0], rates[-1]))
         recorded = f"{told_apart(least, '.1f', first)} to {told_apart(greatest, '.1f', last)} deg/s"
         covered = f"{told_apart(first, '.1f', least)} to {told_apart(last, '.1f', greatest)} deg/s"
-        findings.append(
-            _outside(
-                f"The turn rates {recorded} are outside the dynamic drift table ({covered}). Its end values were used.",
-                least_dps=least,
-                greatest_dps=greatest,
-            )
+        sentence = (
+            f"The turn rates {recorded} are outside the dynamic drift table ({covered}). Its end values were used."
         )
+        findings.append(finding("correct.outside", "warn", sentence, extend, least_dps=least, greatest_dps=greatest))
     return tuple(findings)
-
-
-def _outside(sentence: str, **values: float) -> Finding:
-    action = "Extend the thermal session to these temperatures and rates."
-    return finding("correct.outside", "warn", sentence, action, **values)
 
 
 def model_findings(record: Record, calibration: Calibration, carry: Carry) -> tuple[Finding, ...]:
