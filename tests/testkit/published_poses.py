@@ -12,7 +12,6 @@ from scipy.optimize import least_squares
 from undrift.arrays import runs
 from undrift.calibration.moves import Moves, gravity_directions, rough_matrix
 from undrift.fit.triad import TriadFit, triad_fit
-from undrift.kernels.rotation import rotations_between
 from undrift.record import Record, Still
 from undrift.segments import sphere_of
 
@@ -93,13 +92,10 @@ def fit_as_published(record: Record, gravity: float, rest_s: float = 50.0) -> Pu
     moves = Moves([record], used)
     n = gravity_directions(moves, accel.model)[0]
     offset = np.asarray(record.between(record.time[0], record.time[0] + rest_s).gyro).mean(axis=0)
-    start, count = rough_matrix(moves, accel.model, offset), len(moves.first)
-    rotation, sums, still = np.empty(9 * count), np.empty(36 * count), np.zeros(3 * count)
+    start = rough_matrix(moves, accel.model, offset)
 
     def missed(x: np.ndarray) -> np.ndarray:
-        gyro, matrix = moves.gyro.reshape(-1), x * size
-        rotations_between(gyro, moves.time, moves.first, moves.last, matrix, offset, still, rotation, sums)
-        turn = rotation.reshape(-1, 3, 3).transpose(0, 2, 1)
+        turn = moves.integrate(moves.gyro - offset, x.reshape(3, 3) * size)[0]
         return (np.einsum("jab,jb->ja", turn, n[moves.before]) - n[moves.before + 1]).ravel()
 
     size = float(np.cbrt(abs(np.linalg.det(start))))

@@ -42,6 +42,7 @@ from undrift.errors import NotObservable, PoorFit
 from undrift.fit.gls import GlsFit, Prior, carried, solve
 from undrift.fit.priors import G_SENSITIVITY, GYRO_FLICKER, REST_DRIFT, UNCERTAIN_PERCENT
 from undrift.fit.triad import TriadFit, TriadParameters, fit_of, parameter_names
+from undrift.frames import rotation
 from undrift.model import MATRIX_NAMES, TriadModel
 from undrift.record import Record, Still
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
@@ -136,6 +137,20 @@ class Moves:
         # (J,), number of the still before each move, its last sample, and the first sample of the still after the move
         self.before, self.first, self.last = before[~stuck], first[~stuck], last[~stuck]
         self.duration_s = time[self.last] - time[self.first]
+
+    def integrate(self, reading: FloatArray, matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the rotation of each move, start to end, (J, 3, 3), for readings u (N, 3) without offset and rates M u.
+
+        Also return the sums of R dt and of R u dt, (J, 4, 3, 3), from which the derivative by matrix and offset follows.
+        """
+        from undrift.kernels.rotation import accumulate
+
+        q, sums = np.empty((len(self.first), 4)), np.zeros((len(self.first), 3, 3, 4))
+        for j, (first, last) in enumerate(zip(self.first.tolist(), self.last.tolist(), strict=True)):
+            u, time = reading[first : last + 1], self.time[first : last + 1]
+            regressors = np.hstack((np.ones((len(u), 1)), u))
+            accumulate((u @ matrix.T).reshape(-1), regressors.reshape(-1), time, time[-1:], q[j], sums[j].reshape(-1))
+        return rotation(q).as_matrix().transpose(0, 2, 1), sums.transpose(0, 3, 1, 2)
 
 
 def gravity_directions(moves: Moves, accel: TriadModel) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -355,14 +370,10 @@ def _rows(problem: _Problem, theta: FloatArray) -> _Rows:
     """Return the rows of rests and moves, linear about parameters."""
     from scipy.linalg import block_diag
 
-    from undrift.kernels.rotation import rotations_between
-
     moves, n, size, rests = problem.moves, problem.directions[0], problem.size, len(problem.reading)
     matrix, offset, slope = theta[:9].reshape(3, 3), theta[9:12], theta[12:].reshape(3, 3)
     count = len(moves.first)
-    gyro, rotation, sums = (moves.gyro - problem.force @ slope.T).reshape(-1), np.empty(9 * count), np.empty(36 * count)
-    rotations_between(gyro, moves.time, moves.first, moves.last, theta[:9], offset, np.zeros(3 * count), rotation, sums)
-    turn, integral = rotation.reshape(-1, 3, 3).transpose(0, 2, 1), sums.reshape(-1, 4, 3, 3)
+    turn, integral = moves.integrate(moves.gyro - problem.force @ slope.T - offset, matrix)
     end = (turn @ n[moves.before][:, :, None])[:, :, 0]
     tangent = _tangent(n[moves.before + 1]).transpose(0, 2, 1)
     angle = (tangent @ (end - n[moves.before + 1])[:, :, None]).ravel()

@@ -192,48 +192,5 @@ def carried_means(
                 out[width * w + e] += share * values[e]
 
 
-# ---- rotation between stills
-
-
-@compiled
-def rotations_between(
-    gyro: FloatArray, time: FloatArray, first: IntArray, last: IntArray,
-    matrix: FloatArray, offset: FloatArray, drift: FloatArray, rotation: FloatArray, sums: FloatArray,
-) -> None:  # fmt: skip
-    # Moves j: integrate w = M (u - o - drift_j), drift (3 J,) raw unit, from sample first[j] to last[j].
-    # The rate of sample k applies to (k-1, k].
-    # rotation (9 J,): R from the end body frame to the start body frame, row by row.
-    # sums (36 J,): per move, sum of R dt times d for d = (1, u_x - o_x, u_y - o_y, u_z - o_z), nine numbers for each,
-    # from which the derivative by matrix and offset follows: the small rotation in the start frame is sum R dw dt.
-    m0, m1, m2, m3, m4 = matrix[0], matrix[1], matrix[2], matrix[3], matrix[4]
-    m5, m6, m7, m8 = matrix[5], matrix[6], matrix[7], matrix[8]
-    for i in range(sums.size):
-        sums[i] = 0.0
-    for j in range(first.size):
-        out = sums[36 * j : 36 * j + 36]
-        ox, oy, oz = offset[0] + drift[3 * j], offset[1] + drift[3 * j + 1], offset[2] + drift[3 * j + 2]
-        r = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
-        qw, qx, qy, qz = 1.0, 0.0, 0.0, 0.0
-        for k in range(first[j] + 1, last[j] + 1):
-            half = 0.5 * (time[k] - time[k - 1])
-            dx, dy, dz = gyro[3 * k] - ox, gyro[3 * k + 1] - oy, gyro[3 * k + 2] - oz
-            ax = (m0 * dx + m1 * dy + m2 * dz) * half
-            ay = (m3 * dx + m4 * dy + m5 * dz) * half
-            az = (m6 * dx + m7 * dy + m8 * dz) * half
-            qw, qx, qy, qz = turned(qw, qx, qy, qz, ax, ay, az)
-            unit = 1.5 - 0.5 * (qw * qw + qx * qx + qy * qy + qz * qz)  # one Newton step back to length one
-            qw, qx, qy, qz = qw * unit, qx * unit, qy * unit, qz * unit
-            t = matrix_of(qw, qx, qy, qz)
-            for e in range(9):
-                h = half * (r[e] + t[e])  # the mean of the step's two ends approximates its middle
-                out[e] += h
-                out[9 + e] += dx * h
-                out[18 + e] += dy * h
-                out[27 + e] += dz * h
-            r = t
-        for e in range(9):
-            rotation[9 * j + e] = r[e]
-
-
 if not COMPILED:
     from undrift.kernels.plain import carried_means, strapdown  # noqa: F401 (in place of those above)

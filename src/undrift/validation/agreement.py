@@ -325,12 +325,9 @@ def _check_one_device(fits: Sequence[HeldOut]) -> tuple[Finding, ...]:
     """Return a finding if the readings at rest do not look like those of one device."""
     rest = np.array([h.model.offset - h.fit.motion_offset * (h.model.moving_offset is None) for h in fits])
     spread = float(np.linalg.norm(fits[0].model.matrix @ np.ptp(rest, axis=0))) / RADIAN_PER_DEGREE
-    apart = finding(
-        "validate.devices_apart",
-        "warn",
-        f"Readings at rest are up to {spread:.2g} deg/s apart (limit {ONE_DEVICE_DPS:g} deg/s): these are several devices, or "
-        "one that "
-        "was not warmed up.",
-        "Use leave-one-out for recordings of a single device only.",
-    )
-    return (apart,) if spread > ONE_DEVICE_DPS else ()
+    if spread <= ONE_DEVICE_DPS:
+        return ()
+    sentence = f"Readings at rest are up to {spread:.2g} deg/s apart (limit {ONE_DEVICE_DPS:g} deg/s): these are several devices, "
+    sentence += "or one that was not warmed up."
+    action = "Use leave-one-out for recordings of a single device only."
+    return (finding("validate.devices_apart", "warn", sentence, action),)

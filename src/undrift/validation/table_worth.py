@@ -79,36 +79,34 @@ def expected_errors(calibration: Calibration, *, rest_variance: FloatArray) -> T
     temp_c = float(nodes[np.abs(nodes - reference_c - EXCURSION_K).argmin()])
     scale, dynamic = drift.scale, drift.dynamic
 
+    def at(table_temp_c: FloatArray, values: FloatArray) -> FloatArray:
+        return interpolated(temp_c, table_temp_c, values)
+
     offset, matrix = gyro.offset, gyro.matrix
     if gyro.method == "nominal":  # such a calibration knows the reading at the reference temperature only
         offset = interpolated(np.clip(reference_c, *static.temp_c[[0, -1]]), static.temp_c, static.gyro_offset)
-    if scale is not None and scale.gyro_matrix is not None:
-        matrix = interpolated(temp_c, scale.temp_c, scale.gyro_matrix)
-    rest_rate = si_factor(gyro.unit_out, "rate") * (
-        gyro.matrix @ (interpolated(temp_c, static.temp_c, static.gyro_offset) - offset)
-    )
     phase = 2.0 * np.pi * np.arange(0.0, MOTION_S + 0.5 * STEP_S, STEP_S) / MOTION_S
     rate = np.tile(LEAN * np.pi / MOTION_S * np.sin(phase)[:, None], 3)
-    rate_error = np.zeros_like(rate)
+    per_raw = np.abs(gyro.si_per_reading("rate"))
+    rate_error, variance = np.zeros_like(rate), np.zeros(3)
+    if scale is not None and scale.gyro_matrix is not None:
+        matrix = at(scale.temp_c, scale.gyro_matrix)
+        if scale.gyro_uncertainty is not None:
+            variance += (LEAN * np.diag(at(scale.temp_c, scale.gyro_uncertainty)) / np.diag(matrix)) ** 2
     if dynamic is not None:
-        for axis, errors in enumerate(interpolated(temp_c, dynamic.temp_c, dynamic.error).T):
+        for axis, errors in enumerate(at(dynamic.temp_c, dynamic.error).T):
             at_rest, turning = (np.interp(w, dynamic.turn_rate, errors) for w in (0.0, rate[:, axis]))
             rate_error[:, axis] = turning - at_rest
+        if dynamic.uncertainty is not None:
+            uncertainty, inside = at(dynamic.temp_c, dynamic.uncertainty), np.abs(dynamic.turn_rate) <= rate.max()
+            variance += (MOTION_S * np.median(uncertainty[inside] if inside.any() else uncertainty, axis=0)) ** 2
+    rest_rate = si_factor(gyro.unit_out, "rate") * (gyro.matrix @ (at(static.temp_c, static.gyro_offset) - offset))
     error = np.diag(gyro.matrix @ np.linalg.inv(matrix)) * (rate + rate_error) - rate
     constant, rest = (float(np.abs(np.cumsum(e, axis=0)).max()) * STEP_S for e in (error + rest_rate, error))
-
-    per_raw = np.abs(gyro.si_per_reading("rate"))
-    offset_variance = (interpolated(temp_c, static.temp_c, static.gyro_uncertainty) * per_raw * MOTION_S) ** 2
-    noise_variance = np.nan_to_num(rest_variance) * (per_raw * MOTION_S) ** 2
-    variance = np.zeros(3)
-    if scale is not None and scale.gyro_uncertainty is not None and scale.gyro_matrix is not None:
-        uncertainty = np.diag(interpolated(temp_c, scale.temp_c, scale.gyro_uncertainty))
-        variance += (LEAN * uncertainty / np.diag(matrix)) ** 2
-    if dynamic is not None and dynamic.uncertainty is not None:
-        uncertainty = interpolated(temp_c, dynamic.temp_c, dynamic.uncertainty)
-        inside = np.abs(dynamic.turn_rate) <= np.abs(rate).max()
-        variance += (MOTION_S * np.median(uncertainty[inside] if inside.any() else uncertainty, axis=0)) ** 2
-    tables, both = (NORMAL_95 * float(np.sqrt((v + variance).max())) for v in (offset_variance, noise_variance))
+    tables, both = (
+        NORMAL_95 * float(np.sqrt(((per_raw * MOTION_S) ** 2 * offset_variance + variance).max()))
+        for offset_variance in (at(static.temp_c, static.gyro_uncertainty) ** 2, np.nan_to_num(rest_variance))
+    )
     return TableWorth(
         temp_c=temp_c,
         reference_c=reference_c,
