@@ -14,6 +14,7 @@ from undrift.calibration.in_motion import InMotion, fit_in_motion
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.model import Calibration
 from undrift.record import Record
+from undrift.segments import find_still
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.simulate import simulate_device
 from undrift.sim.device.truth import true_calibration
@@ -105,6 +106,23 @@ def test_the_lie_of_the_case_is_not_seen_and_keeps_its_prior() -> None:
     lean = (other.matrix - back)[0, 1] - (other.matrix - back)[1, 0]
     np.testing.assert_allclose(SEEN @ (other.matrix - back).ravel(), 0.0, atol=3e-4)
     assert lean == pytest.approx(-2.0 * turn, rel=0.15)  # the prior draws the axes back to those of the readings
+
+
+def test_rest_that_the_motion_contradicts_counts_less() -> None:
+    records, _, _ = handled(71, recordings=1)
+    gyro = np.array(records[0].gyro)
+    for still in find_still(records[0]).stills:
+        gyro[still.start : still.stop] += 0.4 * RADIAN_PER_DEGREE
+    sound, contradicted = (fit_in_motion([record]) for record in (records[0], replace(records[0], gyro=gyro)))
+    wider = contradicted.offset_uncertainty[0] / sound.offset_uncertainty[0]
+    show(
+        "uncertainty of the offset with a rest that is 0.4 deg/s off, over that with a sound one",
+        wider.tolist(),
+        "2 or more",
+    )
+    assert wider.min() > 2.0
+    codes = [[item.code for item in fit.gyro.verdict.findings] for fit in (sound, contradicted)]
+    assert ["motion.rest" in found for found in codes] == [False, True]
 
 
 @needs_data

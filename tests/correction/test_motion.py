@@ -91,6 +91,31 @@ def swaying(seconds: float, drift: np.ndarray) -> Record:
     return Record(time=time, gyro=rate, accel=force, state="corrected")
 
 
+def swinging() -> Record:
+    """Return 90 s of a sensor near the pivot of a pendulum: 30 deg about y, 8 deg about x, at 0.5 Hz, with no offset."""
+    time = np.arange(9000) / 100.0
+    phase = np.pi * time
+    angles = np.stack((8.0 * np.sin(phase), 30.0 * np.cos(phase), np.zeros_like(phase)), axis=1)
+    turned = Rotation.from_euler("xyz", angles, degrees=True)
+    rate = np.vstack((np.zeros(3), (turned[:-1].inv() * turned[1:]).as_rotvec() * 100.0))
+    position = turned.apply([0.0, 0.0, -0.3])
+    acceleration = np.gradient(np.gradient(position, 0.01, axis=0), 0.01, axis=0)
+    force = turned.inv().apply(acceleration + np.array([0.0, 0.0, STANDARD_GRAVITY]))
+    noise = np.random.default_rng(2).standard_normal((2, len(time), 3))
+    return Record(time=time, gyro=rate + 1e-3 * noise[0], accel=force + 0.02 * noise[1], state="corrected")
+
+
+def test_swings_do_not_determine_the_offset_about_the_vertical() -> None:
+    offset = fit_motion(swinging(), None).offset
+    errors = np.abs(np.degrees(offset.mean))
+    show(
+        "offset of a pendulum, largest over its uncertainty", float((errors / np.degrees(offset.deviation)).max()), 2.0
+    )
+    assert (errors < 2.0 * np.degrees(offset.deviation)).all()
+    assert offset.deviation[2] > 0.9 * offset.prior[2] > 5.0 * offset.deviation[:2].max()
+    assert "correct.motion_offset_kept" in [finding.code for finding in offset.findings]
+
+
 def known(rate: FloatArray) -> RemainingOffset:
     """Return an offset (3,) that a rest of a second determines exactly."""
     zero = np.zeros((1, 3, 3))

@@ -26,7 +26,7 @@ from undrift.calibration.plausibility import check_own_scale
 from undrift.calibration.reference import uncertain_scale
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
-from undrift.fit.carried import MEAN_S, CarriedMeans
+from undrift.fit.carried import MEAN_S, CarriedMeans, tilted_axes
 from undrift.fit.priors import CROSS_AXIS, SCALE_FACTOR, SCALE_LIMIT, UNCERTAIN_PERCENT
 from undrift.fit.triad import TriadFit, triad_fit
 from undrift.record import Record, Still
@@ -44,6 +44,9 @@ MOVED, DAILY, RAW_RATE = 0.02 * RADIAN_PER_DEGREE, 0.1 * RADIAN_PER_DEGREE, 1.0 
 WIDENED_ACCEL, WIDENED_OFFSET = 1.2, 1.5
 SCALES = np.array([0, 4, 8])  # places of the scale factors among the elements of a matrix
 QUIET_FLOORS = 3.5  # spread of a short rest, over that of the quietest window. Assumed.
+CONTRADICTED = (
+    3.0  # change of the offset from rest to motion, over its standard deviation, that a finding names. Assumed.
+)
 ONE_AXIS = 0.1  # smallest share of the rates about the main axis that counts as a turn about others. Assumed.
 NOT_GRAVITY = 1.0  # m/s2, largest acceleration in means over 5 s (walking 0.03, hands 0.1). Assumed.
 FIELD_SIZE = 0.01  # relative, by which the size of a corrected magnetic field may differ between means. Assumed.
@@ -58,6 +61,7 @@ FIELD_SIZE = 0.01  # relative, by which the size of a corrected magnetic field m
 # of elements: cross-axis terms from thirty, scale factors and offsets from six, since data sheets allow more. Assumed.
 # The estimate expects these sizes. Its uncertainty expects what data sheets allow.
 
+FORCE_OFFSET = 0.3  # m/s2
 KINDS = {  # size, number of elements that it is known from, size that data sheets allow
     "gyro_scale": (0.004, 6.0, SCALE_FACTOR),
     "gyro_cross": (0.0028, 30.0, CROSS_AXIS),  # (m_ij + m_ji) / 2
@@ -65,7 +69,7 @@ KINDS = {  # size, number of elements that it is known from, size that data shee
     "accel_cross": (0.0028, 30.0, CROSS_AXIS),
     "between": (0.004, 30.0, 0.0),  # rotation of the gyroscopes relative to the accelerometers, rad
     "case": (0.002, 30.0, 0.0),  # mean of both rotations, rad
-    "accel_offset": (0.3, 6.0, 0.0),  # m/s2
+    "accel_offset": (FORCE_OFFSET, 6.0, 0.0),
 }
 SIZE, KNOWN_FROM, ALLOWED = np.array(list(KINDS.values())).T
 NOMINAL = np.concatenate((np.eye(3).ravel(), np.eye(3).ravel(), np.zeros(3)))  # M, A, p
@@ -128,13 +132,16 @@ class _Part:
         """Return information (24, 24) and right side (24,) for changes of M, A, p and o, at (M, A, p) and o."""
         gyro, accel = device[:18].reshape(2, 3, 3)
         total, right = np.zeros((24, 24)), np.zeros(24)
+        tilted = tilted_axes(self.time, self.force, FORCE_OFFSET)
         for span, gravity, north in self.stretches:
             rate, force = self.rate[span] - offset, self.force[span] - device[18:]
             ones = np.ones((len(rate), 1))
             turns, pushes = np.hstack((rate, ones)), np.hstack((force, ones))
             mean, rate_slopes, force_slopes = gravity.means(rate @ gyro.T, force @ accel.T, turns, pushes)
             matrices = [slopes[..., :3].reshape(-1, 3, 9) for slopes in (rate_slopes, force_slopes)]
-            design = np.concatenate((*matrices, -force_slopes[..., 3] @ accel, -rate_slopes[..., 3] @ gyro), axis=2)
+            design = np.concatenate(
+                (*matrices, -force_slopes[..., 3] @ accel, -rate_slopes[..., 3] @ tilted @ gyro), axis=2
+            )
             information, right_part = gravity.equations(mean, design, usual, length)
             total, right = total + information, right + right_part
             if self.mag is not None:
@@ -176,6 +183,8 @@ def fit_in_motion(
     x = np.concatenate((NOMINAL, usual_offset, *offsets))
     length = gravity_m_s2, float(np.hypot(gravity_uncertainty, 1e-4 * gravity_m_s2))
     sizes = SIZE
+    rest_rows = np.arange(24 + 3 * len(parts), len(rows))
+    rest_spread, contradiction = spread[rest_rows], 0.0
     places = [np.r_[:21, 24 + 3 * k : 27 + 3 * k] for k in range(len(parts))]
     for stage_s in STAGES_S:
         spread[:21] = np.repeat(sizes, 3)
@@ -192,11 +201,16 @@ def fit_in_motion(
         # the size of each kind of element is adapted to this device: its deviation, and the uncertainty of this
         square = (TO_KINDS @ (x[:21] - NOMINAL)) ** 2 + np.diag(TO_KINDS @ covariance[:21, :21] @ TO_KINDS.T)
         sizes = np.sqrt((KNOWN_FROM * SIZE**2 + square.reshape(7, 3).sum(axis=1)) / (KNOWN_FROM + 3.0))
+        # a rest that the motion contradicts counts less, by the ratio of its miss to its standard deviation
+        if len(rest_spread):
+            misses = (rows[rest_rows] @ x - value[rest_rows]) / rest_spread
+            contradiction = float(np.sqrt((misses**2).mean()))
+            spread[rest_rows] = rest_spread * max(1.0, contradiction)
     wide = np.repeat((1.0, WIDENED_ACCEL, WIDENED_OFFSET), (9, 12, len(x) - 21))
     sizes = sizes * np.sqrt((3.0 + KNOWN_FROM) / (1.0 + KNOWN_FROM))  # Student's t: sizes are known from few elements
     spread[:21] = np.repeat(np.maximum(sizes, ALLOWED), 3)
     covariance = np.linalg.inv((rows / spread[:, None] ** 2).T @ rows + motion / np.outer(wide, wide))
-    return _result(records, parts, x, covariance)
+    return _result(records, parts, x, covariance, contradiction)
 
 
 def without_gaps(record: Record) -> list[Record]:
@@ -314,7 +328,9 @@ def _prior(parts: Sequence[_Part]) -> tuple[FloatArray, FloatArray, FloatArray]:
     return rows, value, np.concatenate((known, *(spread for _, _, spread in rests)))
 
 
-def _result(records: Sequence[Record], parts: Sequence[_Part], x: FloatArray, covariance: FloatArray) -> InMotion:
+def _result(
+    records: Sequence[Record], parts: Sequence[_Part], x: FloatArray, covariance: FloatArray, contradiction: float
+) -> InMotion:
     """Return the model in the units of the readings. Raise if it cannot describe a device in motion."""
     gyro, accel = x[:18].reshape(2, 3, 3)
     numbers_of = [[k for k, part in enumerate(parts) if part.recording == r] for r in range(len(records))]
@@ -332,9 +348,10 @@ def _result(records: Sequence[Record], parts: Sequence[_Part], x: FloatArray, co
     forces = np.concatenate([(part.force - x[18:21]) @ accel.T for part in parts])
     gyro_unit, accel_unit = records[0].gyro_unit, records[0].accel_unit
     turned = residuals[:, :2] / (STANDARD_GRAVITY * MEAN_S)
+    findings = tuple(_findings(x, covariance, contradiction))
     fit = InMotion(
-        gyro=_triad(turned, x, covariance, np.r_[:9, 21:24], rates, units=(gyro_unit, "rad/s")),
-        accel=_triad(residuals, x, covariance, np.r_[9:21], forces, units=(accel_unit, "m/s2")),
+        gyro=_triad(turned, x, covariance, np.r_[:9, 21:24], rates, findings, units=(gyro_unit, "rad/s")),
+        accel=_triad(residuals, x, covariance, np.r_[9:21], forces, findings, units=(accel_unit, "m/s2")),
         offsets=np.array([offsets[numbers].mean(axis=0) for numbers in numbers_of]),
         offset_uncertainty=np.array([spread[numbers].max(axis=0) for numbers in numbers_of]),
         acceleration=acceleration,
@@ -352,6 +369,7 @@ def _triad(
     covariance: FloatArray,
     rows: FloatArray,
     corrected: FloatArray,
+    findings: Sequence[Finding],
     units: tuple[str, str],
 ) -> TriadFit:
     """Return a triad whose matrix and offset are the elements ``rows`` (12,) of x, in the unit of the readings."""
@@ -360,7 +378,7 @@ def _triad(
     scale = np.repeat((factor, 1.0 / factor), (9, 3))
     return triad_fit(
         residuals.ravel(),
-        *_findings(x, covariance),
+        *findings,
         method="motion",
         unit_in=unit_in,
         unit_out=unit_out,
@@ -379,8 +397,17 @@ ADVICE = {
 }
 
 
-def _findings(x: FloatArray, covariance: FloatArray) -> Iterator[Finding]:
-    """Yield findings about scale factors that the motion hardly determines, or that are implausible."""
+def _findings(x: FloatArray, covariance: FloatArray, contradiction: float) -> Iterator[Finding]:
+    """Yield findings about a rest that the motion contradicts, and about undetermined or implausible scale factors."""
+    if contradiction > CONTRADICTED:
+        yield finding(
+            "motion.rest",
+            "warn",
+            f"The gyroscope offset in motion differs from that at rest by {contradiction:.1f} times its usual change. The rest "
+            "counts less in the fit.",
+            "Begin with 6 s in which the device lies still, then turn it by hand about all axes.",
+            contradiction=contradiction,
+        )
     for triad, first in (("gyroscope", 0), ("accelerometer", 9)):
         spread = np.sqrt(np.diag(covariance))[first + SCALES]
         if axes := tuple("xyz"[k] for k in np.flatnonzero(100.0 * spread > UNCERTAIN_PERCENT[0])):

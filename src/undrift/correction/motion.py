@@ -22,7 +22,7 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.correction.rest import LEAST_IN_MOTION_S, MOVED, RemainingOffset, moved_by
 from undrift.errors import InputError
-from undrift.fit.carried import CarriedMeans
+from undrift.fit.carried import CarriedMeans, tilted_axes
 from undrift.fit.priors import CROSS_AXIS, SCALE_FACTOR
 from undrift.model import TriadModel
 from undrift.record import Record
@@ -117,8 +117,11 @@ def _fit_stretches(
     accel = CALIBRATED if calibrated else RAW
     spans = [slice(a, b) for a, b in pairwise(edges)]
     stretches = [CarriedMeans(record.time[span]) for span in spans]
-    tilted_mean = tilted(force, accel[0])
-    axes = [tilted(force[span], accel[0]) if np.trace(tilted_mean) > 2.5 else tilted_mean for span in spans]
+    tilted_mean = tilted_axes(record.time, force, accel[0])
+    axes = [
+        tilted_axes(record.time[span], force[span], accel[0]) if np.trace(tilted_mean) > 2.5 else tilted_mean
+        for span in spans
+    ]
     columns = np.ones((len(rate), 1)) if rate_errors is None else np.hstack((np.ones((len(rate), 1)), rate_errors))
     errors = 3 * (columns.shape[1] - 1)
     loose = np.concatenate((np.repeat((_LOOSE, accel[0]), 3), np.full(errors, _FIXED)))
@@ -148,19 +151,6 @@ def _fit_stretches(
         if np.abs(step[:count]).max() < _SETTLED:
             break
     return stretches, theta, information
-
-
-def tilted(force: FloatArray, deviation: float) -> FloatArray:
-    """Return the projector (3, 3) onto the axes that leave the vertical by more than accelerometers can measure.
-
-    An error of the rate about the vertical turns no gravity. If an axis stays within ``deviation / g`` of the vertical, rms, errors
-    of the accelerometers (``deviation``, m/s2) would seem to determine it.
-    """
-    up = force / np.linalg.norm(force, axis=1)[:, None]
-    # mean square sine of the angle to the vertical
-    mean_squares, axes = np.linalg.eigh(np.eye(3) - up.T @ up / len(up))
-    tilts = axes[:, mean_squares > (deviation / STANDARD_GRAVITY) ** 2]
-    return np.asarray(tilts @ tilts.T)
 
 
 def matrix_deviation(record: Record, model: TriadModel | None) -> FloatArray | None:

@@ -22,6 +22,7 @@ MEAN_S = 5.0  # length of a Hann mean
 _SIZES, _FACTOR = 2.0 * np.log((0.03, 0.1 * RADIAN_PER_DEGREE)), 4.0
 _RESTING = 0.05  # factor of both variances at rest [assumed]
 _SHARED = 1.0 / 6.0  # correlation of Hann means that half overlap
+STEADY = 0.7  # length of the mean direction of gravity over 5 s, below which the device tumbles [assumed]
 
 
 class CarriedMeans:
@@ -112,3 +113,19 @@ class CarriedMeans:
         """Return the vertical (3,) from the last equations, and its covariance for a covariance (P, P) of the parameters."""
         frame, inverse, gain, right = self.level
         return frame.T @ inverse @ right, frame.T @ (inverse + gain @ covariance @ gain.T) @ frame
+
+
+def tilted_axes(time: FloatArray, force: FloatArray, deviation: float) -> FloatArray:
+    """Return the projector (3, 3) onto the axes that leave the vertical by more than accelerometers can measure, in means over 5 s.
+
+    An error of the rate about the vertical turns no gravity. If an axis stays within ``deviation / g`` of the vertical, rms, errors
+    of the accelerometers (``deviation``, m/s2) would seem to determine it. A swing that ends within 5 s shows no such error either:
+    its accelerations look like gravity.
+    """
+    directions = force / np.linalg.norm(force, axis=1)[:, None]
+    means = [part.mean(axis=0) for part in np.array_split(directions, max(1, round((time[-1] - time[0]) / MEAN_S)))]
+    steady = [mean / np.linalg.norm(mean) for mean in means if np.linalg.norm(mean) > STEADY]
+    # mean square sine of the angle to the vertical, which is 1 while the device tumbles
+    mean_squares, axes = np.linalg.eigh(np.eye(3) - sum(np.outer(up, up) for up in steady) / len(means))
+    tilts = axes[:, mean_squares > (deviation / STANDARD_GRAVITY) ** 2]
+    return np.asarray(tilts @ tilts.T)
