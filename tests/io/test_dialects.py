@@ -141,6 +141,17 @@ def test_trigno_starts_without_its_zeros_and_ends_where_the_slow_channel_ends():
     assert read.record.time[0] == pytest.approx(16 * 0.00675)
 
 
+def test_trigno_channels_whose_times_differ_are_refused(tmp_path):
+    lines = maker("delsys_trigno", "truncated_trigno_sample.csv").read_text().splitlines(keepends=True)
+    first = next(k for k, line in enumerate(lines) if line[0].isdigit())
+    cells = lines[first + 100].split(",")
+    cells[4] = f"{float(cells[4]) + 0.001}"
+    lines[first + 100] = ",".join(cells)
+    (tmp_path / "t.csv").write_text("".join(lines))
+    with pytest.raises(FileFormatError, match="one time for all channels"):
+        read_record(tmp_path / "t.csv", ColumnMap(sensor="10"))
+
+
 # ---- formats without a file that may be shared, by their documents
 
 SENSORS = ("Pelvis Accel Sensor {} (mG)", "Noraxon MyoMotion-Segments-Pelvis-Gyroscope-{} (deg/s)")

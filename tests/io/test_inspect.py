@@ -9,10 +9,11 @@ from testkit.column_maps import column_map
 from testkit.trc_text import trc
 from undrift.io.column_map import TextLayout
 from undrift.io.columns import ReadResult
-from undrift.io.inspect import describe, describe_record, find_symptoms, gaps_of
+from undrift.io.inspect import describe, describe_record
 from undrift.io.parquet import write_parquet
 from undrift.io.reference import write_reference
 from undrift.io.session import write_session
+from undrift.io.symptoms import find_symptoms, gaps_of
 from undrift.record import Record, Reference, Session, Still
 
 CALIBRATION = json.dumps({"kind": "undrift.calibration", "format": 1, "device": "A1"})

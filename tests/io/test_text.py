@@ -258,3 +258,28 @@ def test_an_appended_table_is_whole_after_each_piece_and_never_written_over(tmp_
     with Appender(path) as again, pytest.raises(InputError, match="File exists"):
         again.write(record)
     assert len(read_text(path).record) == 30
+
+
+# ---- what a map leaves unused is reported
+
+
+def test_a_row_of_readings_that_a_map_skips_is_reported(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("0.01,0.02,9.81\n" * 4)
+    how = column_map(accel=(0, 1, 2), accel_unit="m/s2", sample_rate_hz=100.0, header=False, skip_rows=1)
+    assert read_text(path, how).notes == ("line 1 is left out by skip_rows and looks like a row of readings",)
+    path.write_text("log of 3 March, 10:00\n" + "0.01,0.02,9.81\n" * 4)
+    assert read_text(path, how).notes == ()
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.csv.gz"])
+def test_a_time_column_that_a_map_does_not_name_is_reported(tmp_path, name):
+    content = b"t_ms,ax,ay,az\n" + b"".join(b"%d,0,0,1\n" % (20 * k) for k in range(4))
+    (tmp_path / name).write_bytes(gzip.compress(content) if name.endswith(".gz") else content)
+    keys = {"accel": ("ax", "ay", "az"), "accel_unit": "g", "sample_rate_hz": 100.0}
+    (note,) = read_text(tmp_path / name, column_map(**keys)).notes
+    assert "'t_ms'" in note
+    assert (
+        read_text(tmp_path / name, column_map(**keys | {"sample_rate_hz": 50.0}, time="t_ms", time_unit="ms")).notes
+        == ()
+    )

@@ -14,7 +14,7 @@ from undrift.arrays import BoolArray, FloatArray
 from undrift.errors import Implausible
 from undrift.findings import Finding, Level, above, finding, told_apart
 from undrift.fit.priors import SCALE_LIMIT
-from undrift.io.inspect import STUCK, saturated_runs
+from undrift.io.symptoms import STUCK, saturated_runs
 from undrift.model import AXES
 from undrift.record import FACES, Face, Record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, is_physical, si_factor

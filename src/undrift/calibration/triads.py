@@ -24,7 +24,7 @@ from undrift.calibration.plausibility import accel_order, cause_by_gravity, chec
 from undrift.errors import Implausible
 from undrift.findings import Finding, finding
 from undrift.frames import rotate
-from undrift.io.inspect import find_saturated
+from undrift.io.symptoms import find_saturated
 from undrift.record import Record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 

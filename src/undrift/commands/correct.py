@@ -33,9 +33,9 @@ from undrift.files import sha256_of
 from undrift.findings import Finding, finding
 from undrift.io.column_map import naming
 from undrift.io.formats import detect, iter_record
-from undrift.io.inspect import check_gravity, find_saturated
 from undrift.io.parquet import ParquetWriter, parquet_rows
 from undrift.io.store import content_hash
+from undrift.io.symptoms import check_gravity, find_saturated
 from undrift.io.write import RECORD_WRITERS, files_of, write_record_as
 from undrift.model import Calibration
 from undrift.orientation import check_whole

@@ -31,7 +31,7 @@ def check_corrected(
     The size of the specific force is checked only at rest, because the readings may come from a model. ``stills`` are the still
     phases of the record, if known.
     """
-    from undrift.io.inspect import find_saturated
+    from undrift.io.symptoms import find_saturated
 
     has_both = calibration.gyro is not None and calibration.accel is not None  # otherwise they have different frames
     agreement = check_agreement(record) if has_both else ()

@@ -30,6 +30,7 @@ from undrift.io.column_map import (
     map_of_channels,
     naming,
 )
+from undrift.io.labels import label_of
 from undrift.record import ForceUncertainty, Record, State, sample_rate_of
 from undrift.units import si_factor
 
@@ -174,7 +175,7 @@ def find_column(names: tuple[str, ...], column: Column, source: str) -> int:
 
 # ---- from a table and a map to a Record
 
-# Largest believable size of a reading, in its own unit: it finds a broken cell, not a wrong scale (io/inspect.py does).
+# Largest believable size of a reading, in its own unit: it finds a broken cell, not a wrong scale (io/symptoms.py does).
 _LARGEST = {
     "rad/s": 500.0, "dps": 30_000.0, "m/s2": 20_000.0, "g": 2_000.0, "mg": 2_000_000.0, "degc": 300.0, "ut": 100_000.0,
     "count": 2.0**24, "v": 1000.0,
@@ -230,10 +231,20 @@ def build_record(table: RawTable, column_map: ColumnMap | None = None) -> ReadRe
         record=record if table.thermometer is None else with_temperature(record, *table.thermometer),
         dropped_rows=table.dropped,
         repaired_rows=0 if keep is None else int((~keep).sum()),
-        notes=table.notes,
+        notes=(*table.notes, *(_unused_time(table, how) if given else ())),
         clock=clock,
         epoch_s=table.epoch_s,
     )
+
+
+def _unused_time(table: RawTable, how: ColumnMap) -> list[str]:
+    """Return a note if a map without a time column leaves the file's own time unused."""
+    labels = {k: label_of(name.rpartition(".")[2]) for k, name in enumerate(table.names)}
+    times = [k for k, label in labels.items() if label and label.channel == "time"]
+    if how.columns_of("time") or not times:
+        return []
+    by = f"time is counted with sample_rate_hz = {how.sample_rate_hz:g}"
+    return [f"{by}: the map does not name the time column {table.names[times[0]]!r} of the file"]
 
 
 def with_temperature(record: Record, time: FloatArray, temp_c: FloatArray) -> Record:

@@ -21,6 +21,7 @@ from undrift.io.labels import Label, label_of
 from undrift.io.text import Text, find_table, parse_text
 from undrift.units import si_factor
 
+_SAME_TIME = 1e-9  # relative
 _TIME = "(time, s)"  # name of the column of time in s
 
 
@@ -157,8 +158,9 @@ def _timed(
     label = None if clock is None else sheet.labels[clock]
     dated = label is not None and label.unit == "date"
     counters = sheet.counters or (() if clock is None or dated else (clock,))
+    times = sorted({label.time for label in labels if label.time is not None} - {*counters})  # each channel's own
     layout = sheet.text.layout.but(drop_bad_rows=how.drop_bad_rows)
-    positions = (*(k for channel in columns.values() for k in channel), *counters)
+    positions = (*(k for channel in columns.values() for k in channel), *counters, *times)
     table = parse_text(replace(sheet.text, layout=layout), positions)
     notes, epoch_s = table.notes, 0.0
     if sheet.clock is not None:
@@ -171,6 +173,12 @@ def _timed(
         cells = (in_seconds(table, clock) if dated else table).numbers(clock)
         first = float(cells[0]) if len(cells) and cells[0] * factor > EPOCH_S else 0.0
         time, epoch_s = (cells - first) * factor, first * factor
+    for k in times:
+        if (wrong := np.flatnonzero(np.abs(table.numbers(k) - cells) > _SAME_TIME * np.abs(cells))).size:
+            raise FileFormatError(
+                f"{sheet.path}: expected one time for all channels of a sensor, got {cells[wrong[0]]:g} and "
+                f"{table.numbers(k)[wrong[0]]:g} in data row {table.row(int(wrong[0]))}. Repair the file."
+            )
     names, columns_ = (*table.names, _TIME), (*table.columns, time)
     return replace(table, names=names, columns=columns_, notes=notes, epoch_s=epoch_s), True
 

@@ -86,8 +86,9 @@ def split_unit(name: str) -> tuple[str, str]:
     if match and (is_unit(match.group(2)) or not re.search(r"\d\]$", name)):
         return match.group(1), match.group(2)
     suffix = _SUFFIX.search(name)
-    if suffix and any(pattern.search(name) for _, pattern in _KIND):
-        return name[: suffix.start()], _NATIVE[suffix.group(1).lower()]
+    stem = name[: suffix.start()] if suffix else ""
+    if suffix and any(pattern.search(name) or pattern.search(stem) for _, pattern in _KIND):
+        return stem, _NATIVE[suffix.group(1).lower()]
     return name, ""
 
 

@@ -359,7 +359,8 @@ def _quaternions(path: Path, values: FloatArray, how: ReferenceMap) -> FloatArra
         axis = np.array(how.axis) / np.linalg.norm(np.array(how.axis))
         return quaternion_of(values * _ANGLE[how.units["angle"]] * axis)
     norm = np.linalg.norm(values, axis=1)[:, None]
-    return np.where(np.abs(norm - 1.0) < NEARLY_UNIT, values / np.where(norm > 0.0, norm, 1.0), values)
+    norm[norm == 0.0] = np.nan  # a lost body
+    return np.where(np.abs(norm - 1.0) < NEARLY_UNIT, values / norm, np.where(np.isnan(norm), np.nan, values))
 
 
 # ---- OpenSim: poses of named bodies
@@ -380,27 +381,15 @@ def read_sto(path: Path, name: str | None = None, up: Up | None = None) -> Refer
             f"{path}: expected the name of one body, got {got}. The file contains {', '.join(names)}. Choose one with `markers`.",
             names=tuple(names),
         )
-    width, body_name = 1 + 4 * len(names), name or names[0]
-    layout = TextLayout(delimiter="\t", header=False)
-    text = text_of(path, rows.replace(b",", b"\t"), tuple(map(str, range(width))), layout)
-    table = parse_text(text, tuple(range(width)))
-    values = np.stack([table.numbers(k) for k in range(width)], axis=1)
-    if len(values) < 2:
+    body_name, columns = name or names[0], tuple(map(str, range(1 + 4 * len(names))))
+    text = text_of(path, rows.replace(b",", b"\t"), columns, TextLayout(delimiter="\t", header=False))
+    table = parse_text(text, columns)
+    if len(table) < 2:
         raise FileFormatError(
-            f"{path}: expected two frames or more, got {len(values)}. The file is truncated. Copy it again."
+            f"{path}: expected two frames or more, got {len(table)}. The file is truncated. Copy it again."
         )
     start = 1 + 4 * names.index(body_name)
-    q_nb = values[:, start : start + 4]
-    size = np.linalg.norm(q_nb, axis=1)
-    valid = np.abs(size - 1.0) < NEARLY_UNIT
-    if np.isfinite(size).any() and not valid.any():
-        raise FileFormatError(
-            f"{path}: expected unit quaternions, got length {np.nanmedian(size):.3g}. Check the export."
-        )
-    q_nb = np.where(valid[:, None], q_nb / np.where(valid, size, 1.0)[:, None], np.nan)
-    with naming(path):
-        return Reference(
-            time=values[:, 0],
-            q_nb=quaternion_product(np.array(_LEVELLED["y"]), q_nb) if up == "y" else q_nb,
-            name=f"{path.name} {body_name}",
-        )
+    four = (start, start + 1, start + 2, start + 3)
+    named = PoseColumns(time=0, quaternion=four)
+    poses = _poses(table, ReferenceMap(columns=named, units={"time": "s"}, up=up or "z"), path)
+    return replace(poses, name=f"{path.name} {body_name}")

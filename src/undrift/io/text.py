@@ -69,20 +69,18 @@ def read_csv(path: str | Path, how: ColumnMap = READ_SETTINGS) -> RawTable:
     own = None if how.columns else native_map(text.names, how, source=str(path))
     marks = None if own is None else _read_sidecar(path, text.names)
     table = parse_text(text, (own or how).wanted(numeric=True))
-    notes = () if _ends_with_line(text) else (_NO_LINE_END,)
     if own is None:
-        return replace(table, notes=notes)
+        return replace(table, notes=(*table.notes, *_skipped_readings(text)))
     own = own if marks is None or how.gaps else own.but(gaps="keep")  # undrift wrote it: an empty cell is a gap
-    return replace(table, notes=notes, own=own, marks=marks or {})
+    return replace(table, own=own, marks=marks or {})
 
 
-def _ends_with_line(text: "Text") -> bool:
-    """Return whether the last line of a text has its end."""
-    if text.content is not None:
-        return text.content.endswith(b"\n")
-    with text.path.open("rb") as handle:
-        handle.seek(-1, os.SEEK_END)
-        return handle.read() in (b"\n", b"\r")
+def _skipped_readings(text: "Text") -> list[str]:
+    """Return a note for each line before the header or the first row that is a row of readings."""
+    lines = text.head.decode("utf-8", "replace").splitlines()[: text.layout.skip_rows]
+    rows = [(k, cells_of(line, text.layout.delimiter)) for k, line in enumerate(lines, 1)]
+    readings = [k for k, cells in rows if len(cells) == len(text.names) and _is_row(cells, text.layout.decimal)]
+    return [f"line {k} is left out by skip_rows and looks like a row of readings" for k in readings]
 
 
 def write_csv(record: Record, path: str | Path, made_by: Provenance | None = None) -> None:
@@ -404,10 +402,19 @@ def parse_text(text: Text, wanted: tuple[Column, ...]) -> RawTable:
     size = text.path.stat().st_size if text.content is None else len(text.content)
     try:
         parsed = pa.concat_tables(_pieces(text, start, size, positions), promote_options="permissive")
-        return RawTable(source=str(text.path), names=text.names, columns=tuple(parsed.columns))
+        table = RawTable(source=str(text.path), names=text.names, columns=tuple(parsed.columns))
     except (pa.ArrowInvalid, pa.ArrowTypeError):  # a bad row, or another column that changes from numbers to words
-        pass
-    return _parse_by_row(text, positions)
+        table = _parse_by_row(text, positions)
+    return table if _ends_with_line(text) else replace(table, notes=(_NO_LINE_END,))
+
+
+def _ends_with_line(text: Text) -> bool:
+    """Return whether the last line of a text has its end."""
+    if text.content is not None:
+        return text.content.endswith(b"\n")
+    with text.path.open("rb") as handle:
+        handle.seek(-1, os.SEEK_END)
+        return handle.read() in (b"\n", b"\r")
 
 
 def _pieces(text: Text, start: int, size: int, positions: list[int]) -> Iterator[Any]:

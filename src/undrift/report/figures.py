@@ -21,7 +21,7 @@ from markupsafe import escape
 from undrift.arrays import BoolArray, FloatArray, runs
 from undrift.errors import InputError
 from undrift.files import write_whole
-from undrift.io.inspect import saturated_runs
+from undrift.io.symptoms import saturated_runs
 from undrift.model import AXES
 from undrift.record import Record
 from undrift.units import RADIAN_PER_DEGREE
