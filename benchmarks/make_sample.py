@@ -8,23 +8,24 @@ recording is the same.
 import shutil
 import sys
 import tempfile
-from dataclasses import replace
 from pathlib import Path
 
 from undrift.io.formats import write_record
 from undrift.io.reference import write_reference
+from undrift.programme import FacesTable, Protocol, ProtocolTable
 from undrift.study.virtual_bench import bench_device, bench_protocols, record_on_bench, worn_trial
-from undrift.units import RADIAN_PER_DEGREE
 
-FACE_S, DWELL_S, STEP = 6.0, 3.0, 30.0 * RADIAN_PER_DEGREE
+FACE_S, DWELL_S, STEP_DPS = 6.0, 3.0, 30.0
 REST_S = 240.0
 
 
 def main(folder: Path) -> None:
     """Write bench/ (six faces and rates), thermal/ (set-points), rest.parquet, and a sit-to-stand task with its optics."""
     (bench, thermal), device = bench_protocols(quick=True), bench_device()
-    room = replace(bench, face_s=FACE_S, dwell_s=DWELL_S, turn_rate_min=STEP, turn_rate_step=STEP)
-    rest = replace(room, name="rest", faces=("+z",), face_s=REST_S, turn_rate_step=0.0)
+    assert bench.rates is not None
+    rates = bench.rates.but(seconds=DWELL_S, turn_rate_min_dps=STEP_DPS, turn_rate_step_dps=STEP_DPS)
+    room = bench.but(faces=FacesTable(seconds=FACE_S), rates=rates)
+    rest = Protocol(protocol=ProtocolTable(name="rest"), faces=FacesTable(order=("+z",), seconds=REST_S))
     folder.mkdir(parents=True)
     with tempfile.TemporaryDirectory() as temporary:
         record_on_bench((room, thermal), device, folder, tell=lambda what, share: None)

@@ -9,7 +9,6 @@ on.
 import argparse
 import sys
 import tempfile
-from dataclasses import replace
 from pathlib import Path
 
 from undrift.base.workers import executor
@@ -51,7 +50,10 @@ def calibrate_on_rig(name: str, device: DeviceModel, folder: Path) -> Calibratio
     """Return the calibration that a run of the session's protocol on the simulated rig gives."""
     protocol = SESSIONS[name].protocol
     assert protocol is not None
-    protocol = replace(protocol, name="run", faces_at="room", soak_c_per_min=0.5, board_lag_s=AIR.board_lag_s)
+    protocol = protocol.named("run").with_faces_at_room()
+    if protocol.temperatures is not None:
+        soaks = protocol.temperatures.but(soak_c_per_min=0.5, board_lag_s=AIR.board_lag_s)
+        protocol = protocol.but(temperatures=soaks)
     programme = programme_of(
         protocol, ProgrammeSettings(mount_s=0.5, heating_c_per_min=AIR.ramp_c_per_min, settle_s=SETTLE_S)
     )

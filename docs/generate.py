@@ -179,11 +179,10 @@ def keys() -> str:
             ("io/reference.py", "ReferenceMap", "PoseColumns"),
             ("record.py", "RateTable", "TemperatureSensitivity"),
         ),
-        ("protocol.toml", ("programme.py", "Protocol")),
+        ("protocol.toml", ("programme.py", "Table")),
         (
             "study.toml",
-            ("study/plan.py", "Entry"),
-            ("sim/motion/bench.py", "BenchErrors"),
+            ("study/plan.py", "Entry", "BenchTable"),
             ("sim/motion/tasks.py", "Category"),
         ),
     ):
@@ -207,7 +206,7 @@ def keys() -> str:
             f"| `{key}` | {_type(value)}{'' if key in needed else ' (opt.)'} |"
             for key, value in held.get("properties", {}).items()
         ]
-        title = name.lower()
+        title = _class_name(name)
         parts.append(
             f"### calibration: {title}\n\n{held.get('description', '')}\n\n| key | type |\n|---|---|\n"
             + "\n".join(rows)
@@ -215,24 +214,22 @@ def keys() -> str:
     return "\n\n".join(parts) + "\n"
 
 
-# End of a key, unit of its field, unit of the file
-_FILE_UNITS = (
-    ("_deg", "rad", "deg"),
-    ("_deg_per_m_s2", "rad per m/s2", "deg per m/s2"),
-    ("_g", "m/s2", "g"),
-    ("_ms", "s", "ms"),
-    ("_dps", "rad/s", "deg/s"),
-    ("_dps2", "rad/s2", "deg/s2"),
-)
 _TABLES = {  # the name of a class in its file
     "head": "[session]", "recording": "[[recording]]", "still": "[[still]]", "turn": "[[turn]]", "ColumnMap": "map",
     "ChannelColumns": "columns of a map", "TempFile": "temp_file of a map", "ReferenceMap": "reference map",
     "PoseColumns": "columns of a reference map", "TextLayout": "layout of a reference map", "RateTable": "[rate_table]",
-    "TemperatureSensitivity": "[temperature]", "Protocol": "all tables", "try": "[task.tried]", "task": "[[task]]",
-    "motion": "[task.motion]", "session": "[[session]]", "study": "[study]", "BenchErrors": "[study.bench]",
+    "TemperatureSensitivity": "[temperature]", "ProtocolTable": "[protocol]", "FacesTable": "[faces]", "RatesTable": "[rates]", "TurnsTable": "[turns]",
+    "TemperaturesTable": "[temperatures]", "try": "[task.tried]", "task": "[[task]]",
+    "motion": "[task.motion]", "session": "[[session]]", "study": "[study]", "BenchTable": "[study.bench]",
     "Category": "[category.NAME]",
 }  # fmt: skip
-_TYPES = {"Finite": "float", "Positive": "float", "Column": "str or int", "Triad": "three columns"}
+_TYPES = {
+    "PositiveFloat": "float",
+    "NonNegativeFloat": "float",
+    "SomeAxes": 'tuple["x" or "y" or "z", ...]',
+    "Column": "str or int",
+    "Triad": "three columns",
+}
 
 
 def _models(path: Path, endings: tuple[str, ...]):
@@ -259,15 +256,12 @@ def _models(path: Path, endings: tuple[str, ...]):
         for item in items(node):
             if not isinstance(item, ast.AnnAssign) or item.target.id not in keys:
                 continue
-            key, default = keys[item.target.id]
+            key, default = item.target.id, keys[item.target.id]
             note = next(
                 (notes[k] for k in range(item.lineno, item.end_lineno + 1) if k in notes and k not in starts), ""
             )
             if not note and item.lineno - 1 in starts:
                 note = notes[item.lineno - 1]
-            for end, si, unit in _FILE_UNITS:
-                if key.endswith(end):
-                    note = note.replace(f", {si}", f", {unit}")
             kind = ast.unparse(item.annotation)
             kind = re.sub(r"Annotated\[(\w+(\[[\w, .]+\])?)( \| None)?, .*\]", r"\1", kind)
             kind = re.sub(r"\b[A-Z]\w+", lambda word, module=module: _named_type(word[0], module), kind)
@@ -295,27 +289,15 @@ def _named_type(name: str, module: object) -> str:
     return _TYPES.get(name, name)
 
 
-def _keys_of(model: type) -> dict[str, tuple[str, str]]:
-    """Return the key of each field of a class, and its default in words."""
-    from undrift.base.codec import default_tree, slots_of, tree_of
-    from undrift.study.plan import NOTE_BENCH
+def _keys_of(model: type) -> dict[str, str]:
+    """Return the default of each key of a class in words."""
+    from undrift.base.codec import schema_of
 
-    for own in (NOTE_BENCH,):  # what study.toml takes where keys are left out
-        if isinstance(own, model):
-            return {slot.name: (slot.path[0], _default(tree_of(own)[slot.path[0]])) for slot in slots_of(model)}
-
-    if hasattr(model, "model_fields"):
-        given = {
-            name: (field.is_required(), field.get_default(call_default_factory=True))
-            for name, field in model.model_fields.items()
-        }
-        return {name: (name, "required" if needed else _default(default)) for name, (needed, default) in given.items()}
+    schema = schema_of(model)
+    required = schema.get("required", ())
     return {
-        slot.name: (
-            ".".join(slot.path),
-            "required" if slot.required or slot.key.needed else _default(default_tree(slot)),
-        )
-        for slot in slots_of(model)
+        key: "required" if key in required else _default(entry.get("default"))
+        for key, entry in schema["properties"].items()
     }
 
 
@@ -329,6 +311,8 @@ def _default(value: object) -> str:
     """Return a default as TOML would have it."""
     if value is None:
         return "none"
+    if isinstance(value, dict):
+        return "as its own table"
     with contextlib.suppress(TypeError):
         text = json.dumps(float(f"{value:.6g}") if isinstance(value, float) else value)
         return f"`{text}`" if len(text) < 40 else "see the page"
@@ -340,11 +324,15 @@ def _cell(text: str) -> str:
     return re.sub(r":\w+:`", "`", text).replace("``", "`").replace("|", "\\|").replace("[", "\\[")
 
 
+def _class_name(name: str) -> str:
+    """Return the name of a table without the ending of its class."""
+    return re.sub("(File|Entry|Table)$", "", name).lower()
+
+
 def _type(value: dict) -> str:
     """Return a type of a JSON Schema in words."""
     if "$ref" in value:
-        name = value["$ref"].rsplit("/", 1)[1]
-        return name.removesuffix("File").removesuffix("Entry").lower()
+        return _class_name(value["$ref"].rsplit("/", 1)[1])
     if "anyOf" in value:
         return " or ".join(dict.fromkeys(_type(item) for item in value["anyOf"]))
     if "enum" in value:

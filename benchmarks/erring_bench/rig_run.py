@@ -18,15 +18,16 @@ from undrift.calibration.calibrate import calibrate
 from undrift.cli.app import run
 from undrift.io.session import read_session
 from undrift.model import Calibration
-from undrift.programme import Protocol, write_protocol
+from undrift.programme import FacesTable, Protocol, ProtocolTable, RatesTable, write_protocol
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration
-from undrift.units import RADIAN_PER_DEGREE as DEG
 
 RUNS = 30  # devices for each run
 PROTOCOL = Protocol(
-    name="mounted askew", turn_rate_min=30.0 * DEG, turn_rate_max=90.0 * DEG, turn_rate_step=30.0 * DEG, dwell_s=3.0
+    protocol=ProtocolTable(name="mounted askew"),
+    faces=FacesTable(),
+    rates=RatesTable(turn_rate_min_dps=30.0, turn_rate_max_dps=90.0, turn_rate_step_dps=30.0, seconds=3.0),
 )
 
 

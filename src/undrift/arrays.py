@@ -86,7 +86,17 @@ class Shape:
         for length in reversed(self.dims):
             most = length if isinstance(length, int) else None
             schema = cs.list_schema(schema, min_length=2 if self.rising else most, max_length=most)
-        return schema if type(None) not in get_args(source) else cs.nullable_schema(schema)
+        schema = schema if type(None) not in get_args(source) else cs.nullable_schema(schema)
+        return {**schema, "serialization": cs.plain_serializer_function_ser_schema(_nested_lists)}
+
+
+def _nested_lists(array: NDArray[Any] | None) -> Any:
+    """Return an array as nested lists, with null for NaN."""
+    if array is None or array.dtype.kind != "f":
+        return None if array is None else array.tolist()
+    values: Any = array.astype(object)
+    values[np.isnan(array)] = None
+    return values.tolist()
 
 
 def freeze(value: Any, **lengths: int) -> None:

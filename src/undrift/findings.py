@@ -16,10 +16,12 @@ Values are the numbers that programs read.
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from undrift.base.codec import Key, stored
+from pydantic import Field
+
+from undrift.base.codec import As, FileTable, stored, to_null, tree_of
 from undrift.base.spoken import spoken_template
 
 Level = Literal["info", "warn", "fail"]
@@ -30,13 +32,26 @@ SHOWN_FIRST = 3  # findings that a person sees without asking for details
 _LEVELS = ("fail", "warn", "info")
 
 
-def _read_finding(keys: dict[str, Any]) -> "Finding":
-    """Return a finding of a file. A null in its values is NaN."""
-    values = {name: math.nan if value is None else value for name, value in keys["values"].items()}
-    return finding(keys["code"], keys["level"], keys["sentence"], keys["action"], **values)
+def _plain(value: Any) -> Value:
+    value = value.tolist() if hasattr(value, "tolist") else value
+    return tuple(_plain(item) for item in value) if isinstance(value, list | tuple) else value  # type: ignore[return-value]
 
 
-@stored(whole=True, keys=("code", "level", "values", "sentence", "action"), read=_read_finding)
+def _read_values(values: dict[str, Any]) -> dict[str, Value]:
+    return {name: math.nan if value is None else _plain(value) for name, value in values.items()}
+
+
+def _write_values(values: Mapping[str, Value]) -> dict[str, Any]:
+    return {name: _without_nan(value) for name, value in values.items()}
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return [_without_nan(item) for item in value]
+    return to_null(value) if isinstance(value, float) else value
+
+
+@stored()
 @dataclass(frozen=True, slots=True)
 class Finding:
     """Remark of a fit.
@@ -47,12 +62,12 @@ class Finding:
         Stage and subject, "six_face.tilt".
     level : str
         info, warn or fail.
+    values : mapping
+        Numbers for programs. A unit that is not SI is part of the key ("tilt_deg").
     sentence : str
         What was found, with number, unit and limit. In files this is the key ``text``.
     action : str
         What to do, or "".
-    values : mapping
-        Numbers for programs. A unit that is not SI is part of the key ("tilt_deg").
 
     Examples
     --------
@@ -67,9 +82,9 @@ class Finding:
 
     code: str
     level: Level
-    sentence: Annotated[str, Key("text")]
-    action: str = ""
-    values: Annotated[Mapping[str, Value], Key(form=dict[str, Any])] = field(default_factory=dict)
+    values: Annotated[Mapping[str, Value], As(dict[str, Any], _read_values, _write_values)]
+    sentence: Annotated[str, Field(alias="text")]
+    action: str
 
     @property
     def text(self) -> str:
@@ -79,12 +94,7 @@ class Finding:
 
 def finding(code: str, level: Level, sentence: str, action: str = "", /, **values: Any) -> Finding:
     """Return a finding. Arrays become tuples, and numpy scalars become numbers."""
-    return Finding(code, level, sentence, action, {name: _plain(value) for name, value in values.items()})
-
-
-def _plain(value: Any) -> Value:
-    value = value.tolist() if hasattr(value, "tolist") else value
-    return tuple(_plain(item) for item in value) if isinstance(value, list | tuple) else value  # type: ignore[return-value]
+    return Finding(code, level, {name: _plain(value) for name, value in values.items()}, sentence, action)
 
 
 def level_of(value: float, limits: tuple[float, float]) -> Level:
@@ -122,7 +132,23 @@ def most_consequential_first(findings: Iterable[Finding]) -> tuple[Finding, ...]
     return tuple(sorted(once, key=lambda item: _LEVELS.index(item.level)))
 
 
-@stored(whole=True, keys=("status", "reasons", "findings"))
+class VerdictTable(FileTable, title="Verdict"):
+    """Quality of a fit: good, marginal or bad, with the findings that explain it."""
+
+    status: Status
+    reasons: tuple[str, ...]
+    findings: tuple[Finding, ...] = ()
+
+
+@stored(
+    form=As(
+        VerdictTable,
+        lambda table: Verdict(status=table.status, findings=table.findings),
+        lambda verdict: tree_of(
+            VerdictTable.model_construct(**{name: getattr(verdict, name) for name in VerdictTable.model_fields})
+        ),
+    )
+)
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Verdict:
     """Quality of a fit: good, marginal or bad, with the findings that explain it.
@@ -145,7 +171,7 @@ class Verdict:
     """
 
     status: Status = "good"
-    findings: Annotated[tuple[Finding, ...], Key(optional=True)] = ()
+    findings: tuple[Finding, ...] = ()
 
     @property
     def reasons(self) -> tuple[str, ...]:

@@ -20,9 +20,10 @@ from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge
+from pydantic import Field
 
 from undrift.arrays import BoolArray, FloatArray, Shape, freeze
-from undrift.base.codec import AnyNumber, Gap, Key, Pairs, stored, tree_of
+from undrift.base.codec import LATER, AnyNumber, As, FileTable, Gap, Pairs, stored
 from undrift.errors import InputError
 from undrift.findings import Finding as Finding
 from undrift.findings import Status as Status
@@ -53,14 +54,15 @@ Rows3 = Annotated[FloatArray | None, Shape("n", 3)]
 Matrices = Annotated[FloatArray | None, Shape("n", 3, 3)]
 Marks = Annotated[BoolArray | None, Shape("n")]
 Nodes = Annotated[FloatArray, Shape("n", rising=True)]
-LATER = Key(later=True)
 _EXCEEDS = 1e-3  # largest relative excess of the summed linear parts over a variance that was averaged over a grid
 
 
 @stored(
-    form=dict[str, list[float]],
-    read=lambda rows: Budget(sources=tuple(rows), uncertainty=np.array([*rows.values()]).reshape(len(rows), -1)),
-    write=lambda budget: dict(zip(budget.sources, tree_of(budget.uncertainty), strict=True)),
+    form=As(
+        dict[str, list[float]],
+        lambda rows: Budget(sources=tuple(rows), uncertainty=np.array([*rows.values()]).reshape(len(rows), -1)),
+        lambda budget: dict(zip(budget.sources, budget.uncertainty.tolist(), strict=True)),
+    )
 )
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Budget:
@@ -308,14 +310,14 @@ class DriftTables:
             )
 
 
-@stored(whole=True, keys=("gyro_lsb", "gyro_rounding", "accel_lsb", "accel_rounding"))
+@stored(whole=True)
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AdcModel:
     """Code step of each triad, (3,), raw unit, or None if not identified, and the rounding of the codes."""
 
-    gyro_lsb: Annotated[Vector, Key("lsb")] = None
+    gyro_lsb: Annotated[Vector, Field(alias="lsb")] = None
+    gyro_rounding: Annotated[Rounding, Field(alias="rounding")] = "nearest"
     accel_lsb: Vector = None
-    gyro_rounding: Annotated[Rounding, Key("rounding")] = "nearest"
     accel_rounding: Rounding = "nearest"
 
     def __post_init__(self) -> None:
@@ -370,15 +372,32 @@ class BodyMounting:
         return quaternion_product(q_nb, Rotation.from_matrix(self.matrix.T).as_quat(scalar_first=True))
 
 
+class InputFile(FileTable):
+    """An input file in a calibration file."""
+
+    file: str
+    sha256: str
+
+
+InputFiles = Annotated[
+    tuple[tuple[str, str], ...],
+    As(
+        tuple[InputFile, ...],
+        lambda files: tuple((item.file, item.sha256) for item in files),
+        lambda pairs: [{"file": file, "sha256": sha256} for file, sha256 in pairs],
+    ),
+]
+
+
 @stored(whole=True)
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Provenance:
     """Origin of a calibration: input files with their sha256, settings, packages with their versions, and time."""
 
-    inputs: Annotated[tuple[tuple[str, str], ...], Pairs(("file", "sha256"))] = ()
-    settings: Annotated[tuple[tuple[str, str], ...], Pairs()] = ()
-    versions: Annotated[tuple[tuple[str, str], ...], Pairs()] = ()
-    created: Annotated[str, Key("time")] = ""  # ISO 8601, UTC
+    inputs: InputFiles = ()
+    settings: Pairs = ()
+    versions: Pairs = ()
+    created: Annotated[str, Field(alias="time")] = ""  # ISO 8601, UTC
 
     def text(self, name: str) -> str:
         """Return a setting, or an empty string if it was not set."""

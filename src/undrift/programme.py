@@ -17,106 +17,131 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Literal, Self, TypeAlias
 
 import numpy as np
-from annotated_types import Gt, MinLen
+from annotated_types import Ge, MinLen
+from pydantic import NonNegativeFloat, PositiveFloat, model_validator
 
 from undrift.arrays import FloatArray
-from undrift.base.codec import Key, read, stored, tree_by_keys, write
-from undrift.errors import InputError, check_positive
+from undrift.base.codec import FileTable, read_toml, toml_text, tree_of
+from undrift.errors import InputError
+from undrift.files import write_whole
 from undrift.record import FACES, Axis, Face
 from undrift.units import RADIAN_PER_DEGREE
 
-# ---- Protocol: faces, rates and temperatures, with their durations and order.
+# ---- Protocol: faces, rates and temperatures, with their durations and order. A class is a table of protocol.toml.
 
 GridRule = Literal["paper", "inclusive"]
 FacesAt = Literal["every", "room"]
 AXES: tuple[Axis, ...] = ("x", "y", "z")
 DPS = RADIAN_PER_DEGREE
+ACCELERATION_DPS2 = 40.0 / DPS  # 40 rad/s2
 DAMPING = math.sqrt(0.5)  # Butterworth, as in the note's filters
+SomeAxes = Annotated[tuple[Axis, ...], MinLen(1)]
 
 
-def _as_stated(tree: dict[str, Any]) -> dict[str, Any]:
-    """Return the keys of protocol.toml, completed with the defaults of present and missing tables."""
-    tree = {name: dict(table) if isinstance(table, dict) else table for name, table in tree.items()}
-    tree.setdefault("faces", {"order": []})  # without this table the accelerometers are omitted
-    rates, turns = tree.get("rates"), tree.get("turns")
-    if isinstance(turns, dict):
-        tree["turns"] = {"angle_deg": 360.0, "axes": list(AXES)} | turns
-    if isinstance(rates, dict):
-        limits = [rates.get(f"{name}_dps") for name in ("turn_rate_min", "turn_rate_max", "turn_rate_step")]
-        numbers = [float(v) for v in limits if isinstance(v, int | float) and not isinstance(v, bool)]
-        if len(numbers) == 3 and all(map(math.isfinite, numbers)) and numbers[2] > 0.0:
-            rate_grid(*numbers)  # raises an error in deg/s, as in the file
-    return tree
+class ProtocolTable(FileTable):
+    """Name and low-pass."""
 
-
-def _tables(protocol: "Protocol") -> dict[str, Any]:
-    """Return the tables of protocol.toml that are used."""
-    is_used = {"faces": protocol.faces, "rates": protocol.turn_rate_step > 0.0, "turns": protocol.turn_axes}
-    is_used |= {"temperatures": protocol.temperatures_c}
-    return {name: table for name, table in tree_by_keys(protocol).items() if is_used.get(name, True)}
-
-
-@stored(complete=_as_stated, write=_tables)
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Protocol:
-    """Protocol of a calibration session, with the keys of protocol.toml."""
-
-    name: Annotated[str, Key("protocol.name")] = ""  # free text
+    name: str = ""  # free text
     # bandwidth of the device's low-pass, Hz, which determines the settling time
-    cutoff_hz: Annotated[float, Key("protocol.cutoff_hz")] = 11.1
-    damping: Annotated[float, Key("protocol.damping", later=True)] = DAMPING  # damping of that low-pass, 1
-    # sensor axes that point up, in order (without the table the accelerometers are omitted)
-    faces: Annotated[tuple[Face, ...], Key("faces.order")] = FACES
-    face_s: Annotated[float, Key("faces.seconds")] = 6.0  # rest on each face, s
-    # set-points at which the faces are read: every, or room (before the chamber is used)
-    faces_at: Annotated[FacesAt, Key("faces.at", later=True)] = "every"
-    # smallest rate, largest rate and step (omega_m, omega_M and d of the note), rad/s (a step of 0 omits the rates)
-    turn_rate_min: Annotated[float, Key("rates.turn_rate_min_dps", unit=DPS, needed=True)] = 0.0
-    turn_rate_max: Annotated[float, Key("rates.turn_rate_max_dps", unit=DPS, needed=True)] = 0.0
-    turn_rate_step: Annotated[float, Key("rates.turn_rate_step_dps", unit=DPS, needed=True), Gt(0.0)] = 0.0
-    # paper omits omega_m itself, as in the note's count, and inclusive includes it
-    grid: Annotated[GridRule, Key("rates.grid")] = "inclusive"
-    # case axes of the turns, in order (the device is mounted once for each axis)
-    axes: Annotated[tuple[Axis, ...], MinLen(1), Key("rates.axes")] = AXES
-    dwell_s: Annotated[float, Key("rates.seconds")] = 6.0  # steady part of each rate, s
-    # rest before and after each block of rates, s, which determines the drift
-    bracket_s: Annotated[float, Key("rates.bracket_s")] = 6.0
-    acceleration: Annotated[float, Key("rates.acceleration_dps2", unit=DPS)] = 40.0  # acceleration of the table, rad/s2
-    # angle of each turn by hand, rad (360 deg by default, and the angle that the operator reports is recorded)
-    turn_angle: Annotated[float, Key("turns.angle_deg", unit=DPS)] = 0.0
-    turn_axes: Annotated[tuple[Axis, ...], MinLen(1), Key("turns.axes")] = ()  # case axes of those turns, in order
-    turn_rest_s: Annotated[float, Key("turns.rest_s")] = 3.0  # rest before and after each of those turns, s
-    # set-points of the chamber in increasing order, degC (without the table the chamber stays at room temperature)
-    temperatures_c: Annotated[tuple[float, ...], MinLen(1), Key("temperatures.set_points_c", needed=True)] = ()
-    # slope below which a set-point counts as reached, K/min
-    soak_c_per_min: Annotated[float, Key("temperatures.soak_c_per_min")] = 0.1
-    # time constant of the device in the chamber, s, for the forecast only (about 600 in a box, 60 for a bare board in moving air)
-    board_lag_s: Annotated[float, Key("temperatures.board_lag_s", later=True)] = 600.0
+    cutoff_hz: Annotated[float, Ge(1e-3)] = 11.1
+    damping: Annotated[float, Ge(1e-3)] = DAMPING  # damping of that low-pass, 1
 
-    def __post_init__(self) -> None:
-        least_of = {"turn_rest_s": 0.5, "face_s": 0.0, "bracket_s": 0.0, "cutoff_hz": 1e-3, "soak_c_per_min": 1e-6}
-        least_of |= {"damping": 1e-3, "board_lag_s": 0.0}
-        for name, least in least_of.items():
-            if not least <= getattr(self, name) < np.inf:
-                raise InputError(f"protocol: {name} must be {least:g} or more, got {getattr(self, name):g}.")
-        check_positive(self, "protocol", "Set a positive value", "acceleration", "dwell_s")
-        if self.turn_rate_step > 0.0:
-            self.turn_rates()
-        elif not (self.faces or self.turn_axes):
+
+class FacesTable(FileTable):
+    """Faces. Without this table the accelerometers are omitted."""
+
+    order: tuple[Face, ...] = FACES  # sensor axes that point up, in order
+    seconds: NonNegativeFloat = 6.0  # rest on each face, s
+    at: FacesAt = "every"  # set-points at which the faces are read: every, or room (before the chamber is used)
+
+
+class RatesTable(FileTable):
+    """Steady rates of the table."""
+
+    # smallest rate, largest rate and step (omega_m, omega_M and d of the note), deg/s
+    turn_rate_min_dps: float
+    turn_rate_max_dps: float
+    turn_rate_step_dps: PositiveFloat
+    # paper omits omega_m itself, as in the note's count, and inclusive includes it
+    grid: GridRule = "inclusive"
+    axes: SomeAxes = AXES  # case axes of the turns, in order (the device is mounted once for each axis)
+    seconds: PositiveFloat = 6.0  # steady part of each rate, s
+    bracket_s: NonNegativeFloat = 6.0  # rest before and after each block of rates, s, which determines the drift
+    acceleration_dps2: PositiveFloat = ACCELERATION_DPS2  # acceleration of the table, deg/s2
+
+
+class TurnsTable(FileTable):
+    """Turns by hand through a known angle."""
+
+    # angle of each turn, deg (the angle that the operator reports is recorded)
+    angle_deg: float = 360.0
+    axes: SomeAxes = AXES  # case axes of those turns, in order
+    rest_s: Annotated[float, Ge(0.5)] = 3.0  # rest before and after each of those turns, s
+
+
+class TemperaturesTable(FileTable):
+    """Temperatures. Without this table the chamber stays at room temperature."""
+
+    set_points_c: Annotated[tuple[float, ...], MinLen(1)]  # set-points of the chamber in increasing order, degC
+    soak_c_per_min: Annotated[float, Ge(1e-6)] = 0.1  # slope below which a set-point counts as reached, K/min
+    # time constant of the device in the chamber, s, for the forecast only (about 600 in a box, 60 for a bare board in moving air)
+    board_lag_s: NonNegativeFloat = 600.0
+
+
+class Protocol(FileTable):
+    """Protocol of a calibration session, with the tables of protocol.toml."""
+
+    protocol: ProtocolTable = ProtocolTable()  # name and low-pass
+    faces: FacesTable | None = None
+    rates: RatesTable | None = None
+    turns: TurnsTable | None = None
+    temperatures: TemperaturesTable | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if not (self.face_order or self.rates or self.turns):
             raise InputError("protocol: faces, rates and turns are all missing. Add at least one of them.")
-        if self.turn_axes and not (math.isfinite(self.turn_angle) and self.turn_angle != 0.0):
-            raise InputError(f"protocol: the angle of a turn must not be 0, got {self.turn_angle:g} rad.")
+        if self.rates is not None:
+            rate_grid(self.rates.turn_rate_min_dps, self.rates.turn_rate_max_dps, self.rates.turn_rate_step_dps)
+        if self.turns is not None and self.turns.angle_deg == 0.0:
+            raise InputError("protocol: the angle of a turn must not be 0. Enter for example 360.")
         if any(b <= a for a, b in pairwise(self.temperatures_c)):
             raise InputError("protocol: temperatures must increase. Sort them and list each once.")
+        return self
+
+    @property
+    def name(self) -> str:
+        """Free text that names the protocol."""
+        return self.protocol.name
+
+    @property
+    def face_order(self) -> tuple[Face, ...]:
+        """Faces that point up, in order."""
+        return () if self.faces is None else self.faces.order
+
+    @property
+    def temperatures_c(self) -> tuple[float, ...]:
+        """Set-points of the chamber, degC."""
+        return () if self.temperatures is None else self.temperatures.set_points_c
 
     def turn_rates(self) -> FloatArray:
         """Return the rates about an axis, with both signs, (N / 3,) rad/s."""
-        if self.turn_rate_step <= 0.0:
+        rates = self.rates
+        if rates is None:
             return np.empty(0)
-        return rate_grid(self.turn_rate_min, self.turn_rate_max, self.turn_rate_step, rule=self.grid)
+        limits = (rates.turn_rate_min_dps, rates.turn_rate_max_dps, rates.turn_rate_step_dps)
+        return rate_grid(*(limit * DPS for limit in limits), rule=rates.grid)
+
+    def with_faces_at_room(self) -> Self:
+        """Return the protocol with its faces read before the chamber is used."""
+        return self if self.faces is None else self.but(faces=self.faces.but(at="room"))
+
+    def named(self, name: str) -> Self:
+        """Return the protocol with another name."""
+        return self.but(protocol=self.protocol.but(name=name))
 
 
 def rate_grid(rate_min: float, rate_max: float, step: float, *, rule: GridRule = "inclusive") -> FloatArray:
@@ -137,12 +162,12 @@ def rate_grid(rate_min: float, rate_max: float, step: float, *, rule: GridRule =
 
 def read_protocol(path: str | Path) -> Protocol:
     """Read a protocol file."""
-    return read(Protocol, path)
+    return read_toml(Protocol, path)[0]
 
 
 def write_protocol(protocol: Protocol, path: str | Path) -> None:
-    """Write a protocol file. It reads back unchanged, except for rounding between rad/s and deg/s."""
-    write(protocol, path)
+    """Write a protocol file. It reads back unchanged."""
+    write_whole(Path(path), toml_text(tree_of(protocol)))
 
 
 # ---- Settling time after a change of rate.
@@ -261,31 +286,30 @@ class Programme:
 
 def programme_of(protocol: Protocol, settings: ProgrammeSettings = ProgrammeSettings()) -> Programme:
     """Return the programme of a protocol, step by step."""
-    turning = tuple(dict.fromkeys(protocol.axes)) if protocol.turn_rate_step > 0.0 else ()
+    rates, by_hand = protocol.rates, protocol.turns
+    rate_axes = () if rates is None else tuple(dict.fromkeys(rates.axes))
+    hand_axes = () if by_hand is None else by_hand.axes
     steps: list[Step] = []
     before_c = settings.room_c
-    for up, visits in _mountings(protocol, tuple(PLUS[axis] for axis in (*turning, *protocol.turn_axes))):
+    for up, visits in _mountings(protocol, tuple(PLUS[axis] for axis in (*rate_axes, *hand_axes))):
         steps.append(Mount(up=up, duration_s=settings.mount_s))
-        for temp_c, with_face, turns in visits:
-            if temp_c is not None:
-                seconds = soak_time(protocol, abs(temp_c - before_c), settings)
-                steps.append(Soak(temp_c=temp_c, slope_c_per_min=protocol.soak_c_per_min, duration_s=seconds))
+        for temp_c, with_face, with_turns in visits:
+            if temp_c is not None and protocol.temperatures is not None:
+                seconds = soak_time(protocol.temperatures, abs(temp_c - before_c), settings)
+                slope = protocol.temperatures.soak_c_per_min
+                steps.append(Soak(temp_c=temp_c, slope_c_per_min=slope, duration_s=seconds))
                 before_c = temp_c
-            if with_face:
-                steps.append(_rest("face", up, None, protocol.face_s, protocol, temp_c))
-            for axis in turning if turns else ():
-                if up == PLUS[axis]:
-                    steps += _block(axis, protocol, temp_c)
-            for axis in protocol.turn_axes if turns else ():
-                if up == PLUS[axis]:
-                    rest = _rest("bracket", up, axis, protocol.turn_rest_s, protocol, temp_c)
-                    turn = replace(
-                        rest, purpose="turn", dwell_s=2.0 * protocol.turn_rest_s + TURN_S, angle=protocol.turn_angle
-                    )
-                    steps += (rest, turn, rest)
+            if with_face and protocol.faces is not None:
+                steps.append(_rest("face", up, None, protocol.faces.seconds, protocol, temp_c))
+            if rates is not None and with_turns:
+                for axis in rate_axes:
+                    steps += _block(axis, rates, protocol, temp_c) if up == PLUS[axis] else ()
+            if by_hand is not None and with_turns:
+                for axis in hand_axes:
+                    steps += _hand_turn(axis, by_hand, protocol, temp_c) if up == PLUS[axis] else ()
     return Programme(
         steps=tuple(step for step in steps if not isinstance(step, Dwell) or step.dwell_s > 0.0),
-        acceleration=protocol.acceleration,
+        acceleration=DPS * (ACCELERATION_DPS2 if rates is None else rates.acceleration_dps2),
     )
 
 
@@ -296,43 +320,51 @@ Visit: TypeAlias = tuple[float | None, bool, bool]
 def _mountings(protocol: Protocol, turn_faces: tuple[Face, ...]) -> Iterator[tuple[Face, list[Visit]]]:
     """Yield the face of each mounting, with its visits to set-points."""
     temps_c: tuple[float | None, ...] = protocol.temperatures_c or (None,)
-    if protocol.faces_at == "room":
-        for up in dict.fromkeys(protocol.faces):
+    if protocol.faces is not None and protocol.faces.at == "room":
+        for up in dict.fromkeys(protocol.faces.order):
             yield up, [(None, True, False)]
         for up in dict.fromkeys(turn_faces):
             yield up, [(temp_c, False, True) for temp_c in temps_c]
         return
-    for up in dict.fromkeys((*protocol.faces, *turn_faces)):
-        yield up, [(temp_c, up in protocol.faces, up in turn_faces) for temp_c in temps_c]
+    for up in dict.fromkeys((*protocol.face_order, *turn_faces)):
+        yield up, [(temp_c, up in protocol.face_order, up in turn_faces) for temp_c in temps_c]
 
 
-def soak_time(protocol: Protocol, change_c: float, settings: ProgrammeSettings) -> float:
+def soak_time(temperatures: TemperaturesTable, change_c: float, settings: ProgrammeSettings) -> float:
     """Return the duration of a soak after a change of ``change_c``, until the device's slope is below the limit, s.
 
     The chamber's air changes with r K/min for the time h = change / r. The device follows with the time constant tau. Its slope is
     then r (1 - exp(-h / tau)), and it reaches the limit after tau ln(r (1 - exp(-h / tau)) / limit).
     """
-    slope, lag_s = settings.heating_c_per_min, protocol.board_lag_s
+    slope, lag_s = settings.heating_c_per_min, temperatures.board_lag_s
     heating_s = 60.0 * change_c / slope
     slope_at_end = slope if lag_s == 0.0 else -slope * math.expm1(-heating_s / lag_s)
-    return heating_s + lag_s * math.log(max(slope_at_end / protocol.soak_c_per_min, 1.0)) + settings.settle_s
+    return heating_s + lag_s * math.log(max(slope_at_end / temperatures.soak_c_per_min, 1.0)) + settings.settle_s
 
 
-def _block(axis: Axis, protocol: Protocol, temp_c: float | None) -> Iterator[Dwell]:
+def _block(axis: Axis, rates: RatesTable, protocol: Protocol, temp_c: float | None) -> Iterator[Dwell]:
     """Yield increasing rates, each in both directions, between two rests."""
-    bracket = _rest("bracket", PLUS[axis], axis, protocol.bracket_s, protocol, temp_c)
+    bracket = _rest("bracket", PLUS[axis], axis, rates.bracket_s, protocol, temp_c)
     yield bracket
-    rates = protocol.turn_rates()
-    for turn_rate in (float(sign * rate) for rate in rates[rates > 0.0] for sign in (1.0, -1.0)):
-        ramp_s = abs(turn_rate) / protocol.acceleration
-        yield replace(bracket, purpose="rate", turn_rate=turn_rate, ramp_s=ramp_s, dwell_s=protocol.dwell_s)
+    both = protocol.turn_rates()
+    for turn_rate in (float(sign * rate) for rate in both[both > 0.0] for sign in (1.0, -1.0)):
+        ramp_s = abs(turn_rate) / (DPS * rates.acceleration_dps2)
+        yield replace(bracket, purpose="rate", turn_rate=turn_rate, ramp_s=ramp_s, dwell_s=rates.seconds)
     yield bracket
+
+
+def _hand_turn(axis: Axis, turns: TurnsTable, protocol: Protocol, temp_c: float | None) -> Iterator[Dwell]:
+    """Yield a turn by hand between two rests."""
+    rest = _rest("bracket", PLUS[axis], axis, turns.rest_s, protocol, temp_c)
+    yield rest
+    yield replace(rest, purpose="turn", dwell_s=2.0 * turns.rest_s + TURN_S, angle=DPS * turns.angle_deg)
+    yield rest
 
 
 def _rest(
     purpose: Purpose, up: Face, axis: Axis | None, seconds: float, protocol: Protocol, temp_c: float | None
 ) -> Dwell:
-    settle_s = settle_time(protocol.cutoff_hz, protocol.damping)
+    settle_s = settle_time(protocol.protocol.cutoff_hz, protocol.protocol.damping)
     return Dwell(
         purpose=purpose, up=up, axis=axis, turn_rate=0.0, ramp_s=0.0, settle_s=settle_s, dwell_s=seconds, temp_c=temp_c
     )

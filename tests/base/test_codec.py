@@ -1,4 +1,4 @@
-"""A stored class is its own file: what it writes it reads, and what is damaged is refused by the key."""
+"""A class is its own file: what it writes it reads, and what is damaged is refused by the key."""
 
 import json
 import math
@@ -10,12 +10,14 @@ from typing import Annotated, Literal
 import numpy as np
 import pytest
 from annotated_types import Gt
+from pydantic import Field
 
 from undrift.arrays import BoolArray, FloatArray, Shape, freeze
 from undrift.base.codec import (
+    LATER,
     AnyNumber,
+    FileTable,
     Gap,
-    Key,
     Pairs,
     read,
     schema_of,
@@ -27,39 +29,34 @@ from undrift.base.codec import (
 )
 from undrift.errors import FileFormatError, InputError
 
-DEGREE = math.pi / 180.0
 
-
-@stored()
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Sensor:
+class Sensor(FileTable):
     """One of several."""
 
-    name: str  # Of the maker
+    name: str
     gain: Annotated[float, Gt(0.0)] = 1.0
 
 
-def _renamed(tree: dict) -> dict:
-    return {"temp_c" if key == "temperature" else key: held for key, held in tree.items()}
+class Table(FileTable):
+    """A table in the file."""
+
+    rate_dps: float = 90.0
+    order: Literal["up", "down"] = "up"
 
 
-@stored(kind="undrift.loop", format=3, complete=_renamed)
+@stored(kind="undrift.loop", whole=True)
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Loop:
     """A loop over temperature."""
 
     temp_c: Annotated[FloatArray, Shape("n", rising=True)]
-    width: Annotated[FloatArray | None, Shape("n", 3), Key(later=True)] = None
-    marks: Annotated[BoolArray | None, Shape("n"), Key(later=True)] = None
-    rate: Annotated[float, Key("table.rate_dps", unit=DEGREE)] = 90.0 * DEGREE
-    steps: Annotated[tuple[float, ...], Key("table.steps_dps", unit=DEGREE)] = ()
-    order: Annotated[Literal["up", "down"], Key("table.order")] = "up"
+    width: Annotated[FloatArray | None, Shape("n", 3), LATER] = None
+    marks: Annotated[BoolArray | None, Shape("n"), LATER] = None
+    table: Table = Table()  # noqa: RUF009  frozen
     rms: AnyNumber = math.inf
-    reference_c: Gap = math.nan
-    files: Annotated[tuple[tuple[str, str], ...], Pairs(("file", "sha256")), Key(later=True)] = ()
-    settings: Annotated[tuple[tuple[str, str], ...], Pairs(), Key(later=True)] = ()
-    sensors: Annotated[tuple[Sensor, ...], Key("sensor", later=True)] = ()
-    inner: Annotated["Loop | None", Key(later=True)] = None
+    reference_c: Annotated[Gap, Field(alias="reference")] = math.nan
+    settings: Annotated[Pairs | None, LATER] = None
+    sensors: Annotated[tuple[Sensor, ...] | None, Field(alias="sensor"), LATER] = None
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -73,12 +70,9 @@ def example(**changes: object) -> Loop:
 
 def full() -> Loop:
     return example(
-        rate=0.1,
-        steps=(0.3 * DEGREE, 7.0 * DEGREE),
-        files=(("a.csv", "00"),),
+        table=Table(rate_dps=0.1),
         settings=(("mode", 'a "b"\\\x7f é'),),
         sensors=(Sensor(name="x"), Sensor(name="y", gain=2.0)),
-        inner=example(width=None),
     )
 
 
@@ -91,20 +85,19 @@ def test_what_is_written_reads_back_to_the_last_bit(ending: str, tmp_path: Path)
     assert tree_of(again) == tree_of(value)
     np.testing.assert_array_equal(again.width, value.width)
     assert not again.width.flags.writeable
-    assert again.rate == value.rate
-    assert (again.rms, again.marks.dtype) == (math.inf, bool)
+    assert (again.rms, again.marks.dtype, again.table) == (math.inf, bool, value.table)
 
 
-def test_a_file_has_kind_format_units_and_no_later_key_that_states_nothing(tmp_path: Path) -> None:
+def test_a_file_has_kind_format_and_no_later_key_that_states_nothing(tmp_path: Path) -> None:
     write(example(width=None, marks=None), tmp_path / "loop.json")
     text = (tmp_path / "loop.json").read_text()
     assert json.loads(text) == {
         "kind": "undrift.loop",
-        "format": 3,
+        "format": 1,
         "temp_c": [20.0, 30.0],
-        "table": {"rate_dps": 90.0, "steps_dps": [], "order": "up"},
+        "table": {"rate_dps": 90.0, "order": "up"},
         "rms": "inf",
-        "reference_c": None,
+        "reference": None,
     }
     assert '"temp_c": [20.0, 30.0]' in text, "a list of numbers stands on one line"
 
@@ -124,24 +117,32 @@ def test_toml_has_lists_on_one_line_and_a_block_for_each_of_several_tables(tmp_p
     ("change", "text"),
     [
         ({"kind": "undrift.map"}, "a.json: expected kind 'undrift.loop', got 'undrift.map'"),
-        ({"format": 4}, "a.json: expected format 3, got 4"),
+        ({"format": 4}, "a.json: expected format 1, got 4"),
         ({"widht": 1}, r"at widht: this key is unknown. Check its spelling \(nearest known key: width\)"),
         ({"table": {"rate": 1.0}}, r"at table.rate: this key is unknown"),
         ({"temp_c": None}, "a.json: at temp_c: expected a valid array, got None"),
         ({"temp_c": [2.0, 1.0]}, "a.json: Loop.temp_c: expected two or more increasing nodes, got 2"),
         ({"width": [[1.0, 2.0, 3.0]]}, r"Loop.width: expected shape \(2, 3\), got \(1, 3\)"),
         ({"marks": [1, 0]}, "at marks.0: expected a valid boolean"),
-        ({"rms": "wide"}, "at rms"),
+        ({"rms": "wide"}, "at rms: expected"),
         ({"table": {"rate_dps": 10**400}}, "at table.rate_dps: expected a finite number"),
         ({"sensor": [{"name": "x", "gain": 0.0}]}, "at sensor.0.gain: expected greater than 0"),
-        ({"files": [{"file": "a"}]}, "at files.0.sha256: this key is missing"),
+        ({"sensor": [{"gain": 1.0}]}, "at sensor.0.name: this key is missing"),
         ({"settings": {"mode": 1}}, "at settings.mode: expected a valid string"),
     ],
-)  # fmt: skip
+)
 def test_a_damaged_file_is_refused_by_its_key(change: dict, text: str) -> None:
     with pytest.raises(FileFormatError, match=text) as caught:
         value_of(Loop, tree_of(example()) | change, "a.json")
     assert "\n" not in str(caught.value)
+
+
+def test_a_missing_key_of_a_whole_class_is_refused() -> None:
+    for name in ("temp_c", "table", "rms", "reference"):
+        tree = tree_of(example())
+        del tree[name]
+        with pytest.raises(FileFormatError, match=f"at {name}: this key is missing"):
+            value_of(Loop, tree, "a.json")
 
 
 @pytest.mark.parametrize(
@@ -149,34 +150,34 @@ def test_a_damaged_file_is_refused_by_its_key(change: dict, text: str) -> None:
     [
         (
             "widht = 1",
-            r"line 6: widht: this key is unknown. Check its spelling \(nearest known key: width\)",
+            r"line 8: widht: this key is unknown. Check its spelling \(nearest known key: width\)",
         ),
-        ("sensor = [{ gain = 2.0 }]", r"line 6: \[\[sensor\]\] 1, name: this key is missing"),
-        ("table = { order = 'left' }", r"line 6: \[table\], order: expected 'up' or 'down', got 'left'"),
-        ("rms = 2026-01-01", "line 6: rms: expected .*got '2026-01-01'"),
+        ("sensor = [{ gain = 2.0 }]", r"line 8: \[\[sensor\]\] 1, name: this key is missing"),
+        ("table = { order = 'left' }", r"line 8: \[table\], order: expected 'up' or 'down', got 'left'"),
+        ("width = 2026-01-01", "line 8: width: expected .*got '2026-01-01'"),
         ("table = 1 2", "loop.toml: expected TOML, got "),
     ],
 )
 def test_a_damaged_file_of_toml_is_refused_by_line_and_entry(line: str, text: str, tmp_path: Path) -> None:
     path = tmp_path / "loop.toml"
-    path.write_text(f"# by hand\nkind = 'undrift.loop'\nformat = 3\n\ntemp_c = [20.0, 30.0]\n{line}\n")
+    table = "" if line.startswith("table") else "\n[table]"
+    path.write_text(
+        f"# by hand\nkind = 'undrift.loop'\nformat = 1\n\ntemp_c = [20.0, 30.0]\nrms = 1\nreference = 1\n{line}\n{table}"
+    )
     with pytest.raises(FileFormatError, match=text):
         read(Loop, path)
 
 
 def test_a_value_that_would_not_read_back_is_not_written(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"expected a loop that reads back, got at table.rate_dps.*"):
-        write(example(rate=math.nan), tmp_path / "loop.json")
-    with pytest.raises(InputError, match="expected each name once"):
-        write(example(settings=(("a", "1"), ("a", "2"))), tmp_path / "loop.json")
+    with pytest.raises(InputError, match="must read back, got the file: at table"):
+        write(example(table=Table().but(rate_dps=math.nan)), tmp_path / "loop.json")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_the_schema_says_what_the_reader_wants() -> None:
     schema = schema_of(Loop)
-    whole = schema["$defs"]["Loop"] if "$ref" in schema else schema
-    assert whole["required"] == ["kind", "format", "temp_c"]
-    assert whole["additionalProperties"] is False
-    assert whole["properties"]["format"] == {"const": 3, "title": "Format", "type": "integer"}
-    assert whole["properties"]["temp_c"]["minItems"] == 2
-    assert whole["properties"]["table"]["properties"]["rate_dps"]["default"] == pytest.approx(90.0)
+    assert schema["required"] == ["kind", "format", "temp_c", "table", "rms", "reference"]
+    assert schema["additionalProperties"] is False
+    assert schema["properties"]["format"] == {"const": 1, "title": "Format", "type": "integer"}
+    assert schema["properties"]["temp_c"]["minItems"] == 2
+    assert schema["$defs"]["Table"]["properties"]["rate_dps"]["default"] == 90.0

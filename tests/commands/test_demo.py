@@ -1,7 +1,6 @@
 """undrift demo: simulate, run, calibrate, drift and correct."""
 
 import json
-from dataclasses import replace
 
 import pytest
 
@@ -28,8 +27,9 @@ def test_the_bench_finds_the_hidden_parameters_and_the_tables_take_the_pitch_err
 def short_protocols():
     """Return protocols about one axis, at one set-point."""
     bench, thermal = bench_protocols(quick=True)
-    thermal = replace(thermal, axes=("z",), temperatures_c=thermal.temperatures_c[:1])
-    return replace(bench, faces=("+z",), axes=("z",)), thermal
+    soak = thermal.temperatures.but(set_points_c=thermal.temperatures_c[:1])
+    thermal = thermal.but(rates=thermal.rates.but(axes=("z",)), temperatures=soak)
+    return bench.but(faces=bench.faces.but(order=("+z",)), rates=bench.rates.but(axes=("z",))), thermal
 
 
 def test_a_bench_that_is_interrupted_keeps_what_was_done(tmp_path):

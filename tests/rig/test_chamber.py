@@ -8,7 +8,7 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
-from testkit.rig_bench import SHORT, Device, at_rest, simulated
+from testkit.rig_bench import SHORT, Device, at_rest, simulated, with_set_points
 from testkit.rig_bench import run as run_on
 from testkit.scripted_server import Scripted
 from undrift.errors import InputError, LimitError, LinkError, RigFault, RigTimeout
@@ -116,7 +116,7 @@ def hand_run(path, temperatures, person, *, readings=WithThermometer):
     settings = ChamberSetup(clock=bench.clock, window_s=10.0)
     try:
         with open_chamber("manual:", settings, ask=lambda line: person(line, bench.chamber)) as by_hand:
-            run_on(bench, path, replace(SHORT, temperatures_c=temperatures), chamber=by_hand, readings=readings)
+            run_on(bench, path, with_set_points(SHORT, *temperatures), chamber=by_hand, readings=readings)
     finally:
         assert at_rest(bench)
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from testkit.rig_bench import SHORT, UP, Device, Hands, run, simulated
+from testkit.rig_bench import FACE, SHORT, UP, Device, Hands, run, simulated
 from undrift.errors import RigFault
 from undrift.io.formats import read_counted
 from undrift.programme import Dwell
@@ -14,7 +14,7 @@ from undrift.record import FACES, Record
 from undrift.rig.judge import APART, STILL, Disturbed, RestCheck
 from undrift.units import STANDARD_GRAVITY
 
-FACES_ALONE = replace(SHORT, faces=("+z", "-z", "+x"), axes=())
+FACES_ALONE = SHORT.but(faces=FACE.but(order=("+z", "-z", "+x")), rates=None)
 
 
 def rest(up="+z", purpose="face"):
@@ -101,7 +101,7 @@ SIX = ("+x", "-x", "+y", "-y", "+z", "-z")
 
 @pytest.mark.parametrize(("wrong", "delete"), [({1: "+y"}, "+x"), ({1: "-x"}, "+x"), ({3: "+z"}, "+y")])
 def test_a_wrong_face_in_counts_is_repeated_after_its_file_was_deleted(tmp_path, wrong, delete):
-    bench, protocol, path = simulated(), replace(SHORT, faces=SIX, axes=()), tmp_path / "run"
+    bench, protocol, path = simulated(), SHORT.but(faces=FACE.but(order=SIX), rates=None), tmp_path / "run"
     with pytest.raises(RigFault, match=r"If .. was mounted wrongly, delete (pieces/\d+.parquet)") as told:
         run(bench, path, protocol, readings=InCounts, hands=Hands(bench, wrong))
     file = re.search(r"delete (pieces/\d+.parquet)", str(told.value))[1]

@@ -6,7 +6,21 @@ import numpy as np
 import pytest
 
 from testkit.cards import TurningBoard, TurningCard
-from testkit.rig_bench import GAIN, LIMITS, SHORT, Device, Oven, at_rest, driven, gain_of, run, simulated
+from testkit.rig_bench import (
+    FACE,
+    GAIN,
+    LIMITS,
+    RATES,
+    SHORT,
+    Device,
+    Oven,
+    at_rest,
+    driven,
+    gain_of,
+    run,
+    simulated,
+    with_set_points,
+)
 from undrift.errors import InputError, RigFault, RigTimeout
 from undrift.io.session import read_session
 from undrift.programme import Protocol
@@ -51,7 +65,7 @@ def test_a_chamber_is_set_and_waited_for_with_the_motor_off(tmp_path):
     result, _ = run(
         bench,
         tmp_path,
-        replace(SHORT, temperatures_c=(30.0, 40.0)),
+        with_set_points(SHORT, 30.0, 40.0),
         chamber=Oven(),
         report=lambda progress: motor.append(bench.servo.powered) if progress.phase == "soaking" else None,
     )
@@ -65,9 +79,9 @@ def test_a_chamber_is_set_and_waited_for_with_the_motor_off(tmp_path):
 def test_temperatures_without_a_chamber_and_unsafe_rates_move_nothing(tmp_path):
     bench = simulated()
     with pytest.raises(InputError, match="require a chamber"):
-        run(bench, tmp_path / "a", replace(SHORT, temperatures_c=(30.0,)))
+        run(bench, tmp_path / "a", with_set_points(SHORT, 30.0))
     with pytest.raises(InputError, match=r"turn rate: at most 200 deg/s .*, got 210"):
-        run(bench, tmp_path / "b", replace(SHORT, turn_rate_max=300.0 * DPS))
+        run(bench, tmp_path / "b", SHORT.but(rates=RATES.but(turn_rate_max_dps=300.0)))
     assert at_rest(bench)
     assert bench.angle() == 0.0
 
@@ -80,13 +94,13 @@ def test_a_chamber_that_never_soaks_ends_in_time_and_at_rest(tmp_path, monkeypat
         run(
             bench,
             tmp_path,
-            replace(SHORT, temperatures_c=(30.0,)),
+            with_set_points(SHORT, 30.0),
             chamber=Oven(),
         )
     assert at_rest(bench)
 
 
-HEATED = Protocol(faces=("+z",), face_s=3.0, temperatures_c=(40.0,))
+HEATED = with_set_points(Protocol(faces=FACE.but(seconds=3.0)), 40.0)
 
 
 class Warm(Device):
@@ -148,7 +162,7 @@ def test_a_door_that_opens_while_the_table_dwells_ends_the_run_at_rest(tmp_path)
 
     bench = simulated()
     with pytest.raises(RigFault, match=r"40 degC within 0.5 K in step 3 .*, got 25.00 degC"):
-        run(bench, tmp_path, replace(SHORT, faces=(), temperatures_c=(40.0,)), chamber=oven, report=report)
+        run(bench, tmp_path, with_set_points(SHORT.but(faces=None), 40.0), chamber=oven, report=report)
     assert at_rest(bench)
     assert len(read_session(tmp_path).stills) == 1
 
@@ -170,7 +184,7 @@ def test_gaps_are_no_readings_and_a_few_are_counted(tmp_path):
 
         return Gappy
 
-    still = Protocol(faces=("+z",), face_s=2.0)
+    still = Protocol(faces=FACE.but(seconds=2.0))
     bench = simulated()
     piece = run(bench, tmp_path / "few", still, readings=device(1))[0].pieces[0]
     assert 0.09 < piece.missing / piece.samples < 0.11
@@ -194,7 +208,7 @@ class LateOnce(Device):
 def test_dwell_that_began_too_late_is_read_again(tmp_path):
     bench = simulated()
     late = LateOnce(bench)
-    result, _ = run(bench, tmp_path, Protocol(faces=("+z",), face_s=2.0), readings=lambda bench: late)
+    result, _ = run(bench, tmp_path, Protocol(faces=FACE.but(seconds=2.0)), readings=lambda bench: late)
     assert late.stops == 2
     assert result.pieces[0].samples >= 200
 

@@ -1,14 +1,13 @@
 """The fault matrix: every fault in every phase of a run ends at rest, loses one dwell at most, and is made good by a resume."""
 
 import random
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from testkit.cards import TurningBoard, TurningCard
 from testkit.data import show
-from testkit.rig_bench import GAIN, OFFSET, SHORT, Device, Oven, at_rest, driven, run, simulated
+from testkit.rig_bench import GAIN, OFFSET, RATES, SHORT, Device, Oven, at_rest, driven, run, simulated, with_set_points
 from undrift.errors import RigError, RigTimeout, UndriftError
 from undrift.io.session import read_session
 from undrift.rig.folder import read_journal
@@ -23,7 +22,7 @@ DEVICE = "device_silent"
 PHASES = ("connecting", "ramping", "dwelling", "resting", "closing")
 OTHER_PHASES = ("mounting", "soaking", "enabling", "settling", "writing")
 # a tick of 1 ms at either end of a dwell is then 0.03 deg/s at most
-PROTOCOL = replace(SHORT, dwell_s=2.0, temperatures_c=(30.0,))
+PROTOCOL = with_set_points(SHORT.but(rates=RATES.but(seconds=2.0)), 30.0)
 RATES_DPS = (30.0, -30.0, 60.0, -60.0)  # as the programme turns
 READING_DPS = 0.1  # a dwell's mean reading: noise 0.02/sqrt(50), and a servo that creeps at 1 count in a dwell
 LIMIT_DPS = 0.05  # stored rate against the true one

@@ -18,7 +18,7 @@ import pytest
 from testkit.bench import FORKS
 from testkit.cards import TurningBoard, TurningCard
 from testkit.data import show
-from testkit.rig_bench import DEVICE, GAIN, OFFSET, SHORT, UP, at_rest, driven, run, simulated
+from testkit.rig_bench import DEVICE, FACE, GAIN, OFFSET, RATES, SHORT, UP, at_rest, driven, run, simulated
 from undrift.base.clock import PacedClock
 from undrift.errors import FileFormatError, InputError, LinkError
 from undrift.io.session import read_session
@@ -66,10 +66,7 @@ def _kill_in_call(name: str, number: int) -> None:
     setattr(owner, name, counted)
 
 
-LONGER = Protocol(
-    faces=("+z",), face_s=1.0, turn_rate_min=30.0 * DPS, turn_rate_max=90.0 * DPS, turn_rate_step=30.0 * DPS, axes=("z",),
-    dwell_s=2.0, bracket_s=1.0,
-)  # fmt: skip
+LONGER = Protocol(faces=FACE.but(seconds=1.0), rates=RATES.but(turn_rate_max_dps=90.0, seconds=2.0, bracket_s=1.0))
 DWELLS = 9
 needs_signals = pytest.mark.skipif(os.name != "posix", reason="signals and limits of POSIX")
 
@@ -148,7 +145,7 @@ def test_a_table_whose_program_died_comes_to_rest_within_the_dwell(tmp_path, con
     with pytest.raises((KeyboardInterrupt, LinkError)):
         run(bench, tmp_path, report=die, rig=lambda: driven(card, reply_timeout_s=0.01))
     assert bench.clock.until(lambda: bench.turn_rate() == 0.0, 10.0, 0.1)
-    limit_s = 1.1 * SHORT.dwell_s + 2.0 + 3.0  # with its spare time, and the ramps
+    limit_s = 1.1 * RATES.seconds + 2.0 + 3.0  # with its spare time, and the ramps
     show(f"{controller.__name__}, {phase}: at rest after s", round(bench.now() - died[0], 2), limit_s)
     assert bench.now() - died[0] < limit_s
     bench.clock.wait(60.0)
@@ -208,7 +205,7 @@ def test_another_run_is_not_mixed_in(finished):
     with pytest.raises(InputError, match="contains a run"):
         RunFolder(path, SHORT)
     with pytest.raises(InputError, match="protocol differs"):
-        RunFolder(path, replace(SHORT, dwell_s=2.0), resume=True)
+        RunFolder(path, SHORT.but(rates=RATES.but(seconds=2.0)), resume=True)
     with RunFolder(path, SHORT, resume=True) as folder:
         assert folder.head is not None
         with pytest.raises(InputError, match=r"began with rig 'simulated.*', got 'other'"):

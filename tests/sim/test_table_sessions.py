@@ -8,7 +8,7 @@ import pytest
 
 from testkit.data import show
 from testkit.simulated_device import motion_of, run
-from undrift.programme import Protocol
+from undrift.programme import FacesTable, Protocol, RatesTable
 from undrift.sim.device.effects import WhiteNoise
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.presets import random_device
@@ -28,12 +28,15 @@ from undrift.sim.table_sessions import (
 
 DPS, G = np.pi / 180.0, 9.80665
 PROTOCOL = Protocol(
-    grid="paper",
-    dwell_s=2.0,
-    bracket_s=3.0,
-    turn_rate_min=10.0 * DPS,
-    turn_rate_max=50.0 * DPS,
-    turn_rate_step=20.0 * DPS,
+    faces=FacesTable(),
+    rates=RatesTable(
+        turn_rate_min_dps=10.0,
+        turn_rate_max_dps=50.0,
+        turn_rate_step_dps=20.0,
+        grid="paper",
+        seconds=2.0,
+        bracket_s=3.0,
+    ),
 )
 LAID = lay_out(PROTOCOL)
 SESSIONS = LAID.chosen(REST, RATE)

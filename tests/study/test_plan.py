@@ -63,7 +63,7 @@ def test_a_plan_has_its_tasks_sessions_and_people(folder):
     assert [task.key for task in study.tasks] == ["step", "step-young", "sit_to_stand-knee"]
     assert [session.name for session in study.sessions] == ["hand", "three rates", "mine"]
     assert study.name == "study"
-    assert study.bench.level == pytest.approx(np.radians(0.2))
+    assert study.bench.errors.level == pytest.approx(np.radians(0.2))
     assert study.bench.encoder_lines == 10_000
     assert len(list(study.tasks[0].variations())) == 4
 

@@ -133,7 +133,7 @@ def test_a_failed_fit_is_shipped_as_failed(device):
 
 
 def test_a_key_depends_on_seed_bench_device_and_session(device):
-    bench = replace(STUDY.bench, level=0.01)
+    bench = STUDY.bench.but(level_deg=0.5)
     others = [
         StudyDevice(replace(STUDY, seed=1), 0), StudyDevice(replace(STUDY, bench=bench), 0), StudyDevice(STUDY, 1),
         StudyDevice(STUDY.other(), 0),

@@ -8,7 +8,7 @@ from unittest import mock
 import numpy as np
 
 from testkit.virtual_clock import VirtualClock
-from undrift.programme import Protocol, programme_of
+from undrift.programme import FacesTable, Protocol, ProtocolTable, RatesTable, TemperaturesTable, programme_of
 from undrift.rig import chamber as chamber_file
 from undrift.rig.chamber import ChamberSetup
 from undrift.rig.folder import RunFolder
@@ -25,17 +25,17 @@ OFFSET = np.array([1.5, -0.8, 0.4])  # dps
 NOISE_DPS, RATE_HZ = 0.02, 100.0
 LIMITS = Limits(turn_rate=200.0 * DPS, acceleration=50.0, travel=None)
 UP = {sign + axis: (1 if sign == "+" else -1) * np.eye(3)[k] for k, axis in enumerate("xyz") for sign in "+-"}
-SHORT = Protocol(
-    name="short",
-    faces=("+z",),
-    face_s=0.5,
-    turn_rate_min=30.0 * DPS,
-    turn_rate_max=60.0 * DPS,
-    turn_rate_step=30.0 * DPS,
-    axes=("z",),
-    dwell_s=1.0,
-    bracket_s=0.5,
+FACE = FacesTable(order=("+z",), seconds=0.5)
+RATES = RatesTable(
+    turn_rate_min_dps=30.0, turn_rate_max_dps=60.0, turn_rate_step_dps=30.0, axes=("z",), seconds=1.0, bracket_s=0.5
 )
+SHORT = Protocol(protocol=ProtocolTable(name="short"), faces=FACE, rates=RATES)
+
+
+def with_set_points(protocol, *set_points_c):
+    """Return a protocol with set-points of the chamber."""
+    return protocol.but(temperatures=TemperaturesTable(set_points_c=set_points_c))
+
 
 PROTOCOL = """
 [protocol]

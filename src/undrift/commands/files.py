@@ -14,13 +14,14 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
+from undrift.base import codec
 from undrift.base.options import WRITTEN, Policy, Up, options
 from undrift.base.spoken import CALLED, option_of
 from undrift.correction.correct import correct_checked
 from undrift.errors import Implausible, InputError
 from undrift.files import sha256_of, write_whole
 from undrift.findings import Finding, Level, finding
-from undrift.io.column_map import ColumnMap, file_map_of, map_of, one_map, read_map, read_toml
+from undrift.io.column_map import ColumnMap, file_map_of, map_of, one_map, read_map
 from undrift.io.formats import (
     detect,
     format_of,
@@ -308,7 +309,7 @@ def recordings_of(
 
 def _names_in(folder: Path) -> list[list[str]]:
     """Return the names of the files of each recording of a session."""
-    return [files_of(entry) for entry in read_toml(SessionFile, folder / NAME)[0].recording]
+    return [files_of(entry) for entry in codec.read_toml(SessionFile, folder / NAME)[0].recording]
 
 
 # ---- readings and their calibration

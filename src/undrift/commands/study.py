@@ -98,7 +98,7 @@ def study(
     _write_runs(outcome, output / "runs.parquet")
     for session in chosen_sessions(outcome):
         if session.protocol is not None:
-            protocol = replace(session.protocol, name=file_stem(session), faces_at="room")
+            protocol = session.protocol.named(file_stem(session)).with_faces_at_room()
             write_protocol(protocol, output / f"{file_stem(session)}.toml")
     save_json(output / "summary.json", as_json(report, "study"))
     write_report(output / "report.html", report, origin_of(plan))

@@ -18,14 +18,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeAlias, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeAlias
 
 from annotated_types import Ge
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field
 
 from undrift.arrays import FloatArray
 from undrift.base import codec
-from undrift.errors import FileFormatError, InputError
+from undrift.base.codec import FileTable
+from undrift.errors import InputError
 from undrift.frames import Frame
 from undrift.record import FileMap
 from undrift.units import DEVICE_UNITS, Quantity, canonical_unit
@@ -36,7 +37,6 @@ Channel = Literal["time", "gyro", "accel", "temp", "mag"]
 Gaps = Literal["raise", "keep"]
 Clock = Literal["file", "regular"]
 Names: TypeAlias = tuple[str, ...] | list[str]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 CHANNELS: tuple[Channel, ...] = ("time", "gyro", "accel", "temp", "mag")
 QUANTITY: dict[Channel, Quantity] = {"time": "time", "gyro": "rate", "accel": "accel", "temp": "temp", "mag": "mag"}
 AXES = ("x", "y", "z")
@@ -50,19 +50,6 @@ NATIVE = {
     "accel": {"m/s2": "m_s2", "g": "g", "mg": "mg", "count": "count", "v": "v"},
     "mag": {"ut": "ut"},
 }
-
-
-Table = TypeVar("Table", bound="TomlTable")
-
-
-class TomlTable(BaseModel):
-    """A table of a file: unknown keys are an error, and no value is converted."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, defer_build=True)
-
-    def but(self, **values: Any) -> Self:
-        """Return a copy with other values."""
-        return self.model_copy(update=values)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +66,7 @@ class ChannelScale:
         return cells if (gain, offset) == (1.0, 0.0) else gain * cells + offset
 
 
-class TextLayout(TomlTable):
+class TextLayout(FileTable):
     """Layout of a text table."""
 
     delimiter: Annotated[str, Field(pattern=r"^[^\r\n]$")] = ","  # one character; " " means one or more blanks or tabs
@@ -98,10 +85,10 @@ class TempFile(TextLayout):
     temp: Column = "temp_c"  # temperature column
     time_unit: str = "s"  # any spelling of :mod:`undrift.units`
     temp_unit: str = "degC"
-    shift_s: Finite = 0.0  # added to the thermometer's time, s
+    shift_s: float = 0.0  # added to the thermometer's time, s
 
 
-class AxisColumns(TomlTable):
+class AxisColumns(FileTable):
     """Columns of some axes of a channel. The other axes are in other files of the recording."""
 
     x: Column | None = None
@@ -113,7 +100,7 @@ class AxisColumns(TomlTable):
 Triad: TypeAlias = Sequence[Column] | str | AxisColumns
 
 
-class ChannelColumns(TomlTable):
+class ChannelColumns(FileTable):
     """Columns of the channels: names in the header, or positions from 0."""
 
     time: Column | None = None  # without it ``sample_rate_hz`` is required
@@ -129,14 +116,16 @@ class ColumnMap(TextLayout):
 
     sample_rate_hz: float | None = None  # Hz, without a default; checked against the time column if there is one
     columns: ChannelColumns | Sequence[ChannelColumns] | None = None  # one table, or one for each of several files
-    units: dict[Channel, str] = {}  # unit of each channel, any spelling of :mod:`undrift.units`; "date": year first
-    scale: dict[Literal["gyro", "accel", "temp", "mag"], ChannelScale] = {}  # if the numbers are not in those units
+    # unit of each channel, any spelling of :mod:`undrift.units`; "date": year first
+    units: dict[Channel, str] = Field(default_factory=dict)
+    # if the numbers are not in those units
+    scale: dict[Literal["gyro", "accel", "temp", "mag"], ChannelScale] = Field(default_factory=dict)
     # "raise" refuses empty cells and NaN, "keep" keeps them as gaps; by default only files that undrift wrote have gaps
     gaps: Gaps | None = None
     repair_time: bool = False  # leave out rows whose time does not increase
     clock: Clock = "file"  # "file", or "regular" for stamps of a host: a rate and an offset are fitted to them
     # stretches, s on the recording's clock: cut off at its ends, gaps between
-    leave_out: tuple[tuple[Finite, Finite], ...] = ()
+    leave_out: tuple[tuple[float, float], ...] = ()
     frame: Frame = "s"  # "s" or "b"
     device: str = ""  # serial number or name
     temp_file: TempFile | None = None  # replaces a temperature in the recording
@@ -331,19 +320,9 @@ def _native_triple(names: Names, channel: str, suffixes: Mapping[str, str]) -> t
 # ---- maps in files, in calls and in calibrations
 
 
-def read_toml(model: type[Table], path: str | Path) -> tuple[Table, str]:
-    """Return the value of a TOML file, and its text. An error names line and entry."""
-    tree, text = codec.toml_of(path)
-    try:
-        return model.model_validate_json(json.dumps(tree, default=str)), text
-    except ValidationError as error:
-        refused = codec.Refused(list(error.errors()), codec.known_keys(model.model_json_schema()), text)
-        raise FileFormatError(f"{path}: {refused}") from error
-
-
 def read_map(path: str | Path, **choices: Any) -> ColumnMap:
     """Return a map in TOML, with the choices of a call over it. A map without columns is for undrift's own names."""
-    how, _ = read_toml(ColumnMap, path)
+    how, _ = codec.read_toml(ColumnMap, path)
     given = how.model_fields_set
     if not how.columns and (not given or given - NATIVE_KEYS):
         got = ", ".join(sorted(given - NATIVE_KEYS)) or "no key"

@@ -25,7 +25,7 @@ import numpy as np
 from pydantic import Field
 
 from undrift.arrays import BoolArray, FloatArray
-from undrift.base.codec import toml_of
+from undrift.base.codec import FileTable, read_toml, toml_of
 from undrift.errors import FileFormatError, InputError
 from undrift.files import read_bytes, write_whole
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate
@@ -34,11 +34,8 @@ from undrift.io.column_map import (
     Clock,
     Column,
     ColumnMap,
-    Finite,
     TextLayout,
-    TomlTable,
     naming,
-    read_toml,
 )
 from undrift.io.columns import RawTable, read_time
 from undrift.io.libraries import Arrays, table_of_arrays
@@ -170,7 +167,7 @@ _LEVELLED = {  # quaternions that turn an axis of the laboratory up, to z
 }  # fmt: skip
 
 
-class PoseColumns(TomlTable):
+class PoseColumns(FileTable):
     """Columns of poses: names in the header, or positions from 0."""
 
     quaternion: tuple[Column, Column, Column, Column] = QUATERNION  # w, x, y, z, in this order
@@ -184,7 +181,7 @@ class PoseColumns(TomlTable):
     counter: Column | None = None  # frame counter, which may wrap; used by a regular clock
 
 
-class ReferenceMap(TomlTable):
+class ReferenceMap(FileTable):
     """Where poses are in a foreign file."""
 
     columns: PoseColumns = PoseColumns.model_construct()
@@ -196,7 +193,7 @@ class ReferenceMap(TomlTable):
     turns: Literal["body_to_level", "level_to_body"] = "body_to_level"
     up: Literal["x", "y", "z", "-x", "-y", "-z"] = "z"  # axis of the laboratory that points up
     # axis of the laboratory about which the angle is positive, right-handed; the body's axes are the laboratory's at 0
-    axis: tuple[Finite, Finite, Finite] | None = None
+    axis: tuple[float, float, float] | None = None
     repair_time: bool = False  # leave out rows whose time does not go forward
     clock: Clock = "file"  # "file", or "regular" for stamps of a host: a rate and an offset are fitted to them
     layout: TextLayout = TextLayout.model_construct()  # for text files

@@ -47,12 +47,9 @@ from undrift.io.column_map import (
     NATIVE_KEYS,
     Clock,
     ColumnMap,
-    Finite,
-    TomlTable,
     check_parts,
     file_map_of,
     map_of,
-    read_toml,
 )
 from undrift.io.columns import ReadResult, build_record
 from undrift.io.formats import read_counted, settled
@@ -79,14 +76,14 @@ _SEAL = "# sha256 of all below: "
 _SLACK = 1e-3  # of a sample: a time written with fewer digits still finds its sample
 
 
-class HeadEntry(TomlTable):
+class HeadEntry(codec.FileTable):
     """[session]."""
 
     kind: Kind  # calibration, thermal or static
     serial: str  # Device serial number
-    gravity_m_s2: Finite | None = None  # Local gravity, m/s2; or the next two; standard gravity is assumed without any
-    latitude_deg: Finite | None = None  # latitude and altitude of the recording
-    height_m: Finite | None = None
+    gravity_m_s2: float | None = None  # Local gravity, m/s2; or the next two; standard gravity is assumed without any
+    latitude_deg: float | None = None  # latitude and altitude of the recording
+    height_m: float | None = None
     mounting: Mounting | None = None  # mounting in a fit to references: "one" for all recordings, or "each"
 
 
@@ -97,13 +94,13 @@ class RecordingEntry(ColumnMap):
     sha256: str = ""  # hash of the file: another content is refused
 
 
-class PieceEntry(TomlTable):
+class PieceEntry(codec.FileTable):
     """What [[still]] and [[turn]] share."""
 
     recording: int = 0  # number of the [[recording]], from 0
-    start_s: Finite  # on the recording's own clock
-    stop_s: Finite  # on the same clock; the sample at this time is not included
-    temp_c: Annotated[Finite, Ge(-273.15)] | None = None  # Chamber set-point, degC
+    start_s: float  # on the recording's own clock
+    stop_s: float  # on the same clock; the sample at this time is not included
+    temp_c: Annotated[float, Ge(-273.15)] | None = None  # Chamber set-point, degC
 
 
 class StillEntry(PieceEntry):
@@ -116,11 +113,11 @@ class TurnEntry(PieceEntry):
     """[[turn]]."""
 
     axis: Axis | None = None  # "x", "y" or "z" of the case; none for a free rotation
-    turn_rate_dps: Finite | None = None  # Achieved steady rate about +axis
-    angle_deg: Finite | None = None  # Turned about +axis
+    turn_rate_dps: float | None = None  # Achieved steady rate about +axis
+    angle_deg: float | None = None  # Turned about +axis
 
 
-class SessionFile(TomlTable):
+class SessionFile(codec.FileTable):
     """The whole file."""
 
     session: HeadEntry  # device and place
@@ -168,7 +165,7 @@ def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
     path = path / NAME if path.is_dir() else path
     if not path.exists():
         raise InputError(f"{folder}: expected a folder with {NAME}, got none. Create {NAME} or check the path.")
-    stated, text = read_toml(SessionFile, path)
+    stated, text = codec.read_toml(SessionFile, path)
     _check_seal(path, text)
     inputs = [(path.name, sha256_of(path))]
     read, records, stills, turns = list[ReadResult](), list[Record](), list[Still](), list[Turn]()

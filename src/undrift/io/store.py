@@ -19,7 +19,7 @@ from undrift.model import Calibration
 from undrift.record import FileMap
 
 KIND = "undrift.calibration"
-codec.stored(form=ColumnMap, read=file_map_of, write=lambda file_map: json.loads(file_map.text))(FileMap)
+codec.stored(form=codec.As(ColumnMap, file_map_of, lambda file_map: json.loads(file_map.text)))(FileMap)
 
 
 def write_calibration(calibration: Calibration, path: Path | str) -> None:
@@ -72,7 +72,7 @@ def read_calibration(path: Path | str) -> Calibration:
     """
     if is_imucal(Path(path)):
         return read_imucal(Path(path))
-    return codec.value_of(Calibration, codec.json_of(Path(path), Calibration), str(path))
+    return codec.value_of(Calibration, codec.json_of(Path(path), "a calibration"), str(path))
 
 
 def calibration_json(calibration: Calibration) -> dict[str, Any]:

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from undrift.base.codec import tree_of
 from undrift.report.figures import draw_sessions
 from undrift.report.note import draw_figure3
 from undrift.report.report import Cell, Report, Table
@@ -313,7 +312,7 @@ def study_json(outcome: StudyOutcome, figure: Figure3 | None) -> dict[str, Any]:
         **{key: getattr(planned, key) for key in keys},
         "subjects": outcome.subjects,
         "shipped_fits": planned.shipped,
-        "bench": tree_of(planned.bench),
+        "bench": planned.bench.model_dump(),
         "for_all": [asdict(answer) | {"confirmed": answer.confirmed} for answer in outcome.for_all],
         "tasks": [_task_json(task) for task in outcome.tasks],
         "sensitivity": [

@@ -12,7 +12,6 @@ later, and repeats a dwell whose file was deleted.
 """
 
 import hashlib
-import json
 import os
 import tomllib
 from collections.abc import Iterator
@@ -168,11 +167,8 @@ class RunFolder(AbstractContextManager["RunFolder"]):
 
 
 def protocol_digest(protocol: Protocol) -> str:
-    """Return a hash of a protocol, with numbers rounded to nine digits. It detects a change of protocol on `resume`."""
-    fields = {
-        name: float(f"{value:.9g}") if isinstance(value, float) else value for name, value in asdict(protocol).items()
-    }
-    return hashlib.sha256(json.dumps(fields, sort_keys=True).encode()).hexdigest()
+    """Return a hash of a protocol, which detects a change of protocol on `resume`."""
+    return hashlib.sha256(protocol.model_dump_json().encode()).hexdigest()
 
 
 # ---- session.toml, which is also the journal.

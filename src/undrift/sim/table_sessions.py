@@ -64,10 +64,10 @@ class TableSession:
 @lru_cache(maxsize=256)
 def lay_out(protocol: Protocol) -> TableSession:
     """Lay out the session of a protocol in time."""
-    if protocol.turn_rate_step <= 0.0:
-        raise InputError("study: the protocol has no rates. State turn_rate_step and the two ends.")
+    if protocol.rates is None:
+        raise InputError("study: the protocol has no rates. Add the table [rates].")
     dwells, starts, clock = list[Dwell](), list[float](), WARMED_UP_S
-    for step in programme_of(replace(protocol, faces_at="room")).steps:
+    for step in programme_of(protocol.with_faces_at_room()).steps:
         if isinstance(step, Dwell):
             dwells.append(step)
             starts.append(clock + step.ramp_s + step.settle_s)

@@ -84,7 +84,7 @@ def _known_forces(rival: Rival, rng: np.random.Generator) -> tuple[FloatArray, F
     """Return true and nominal specific force (N, 3), m/s2, of a device that is mounted once per axis."""
     true, reference = list[FloatArray](), list[FloatArray]()
     for axis in range(3):
-        mount = rng.normal(0.0, NOTE_BENCH.mount_tilt, 3)
+        mount = rng.normal(0.0, NOTE_BENCH.errors.mount_tilt, 3)
         up, along = np.eye(3)[axis], np.eye(3)[(axis + 1) % 3]
         if rival == "inclined plane":
             for angle in np.radians(np.arange(-90.0, 91.0, 15.0)):

@@ -11,16 +11,18 @@ The page "Keys" of the site has every key with its default.
 import json
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
-from annotated_types import Ge, Gt, MinLen
+from annotated_types import Ge, MinLen
+from pydantic import Field, NonNegativeFloat, PositiveFloat
 
-from undrift.base.codec import read, stored, tree_of
+from undrift.base.codec import FileTable, stored, toml_of, value_of
 from undrift.errors import FileFormatError, InputError
-from undrift.programme import Protocol, rate_grid, read_protocol
+from undrift.io.column_map import naming
+from undrift.programme import Protocol, read_protocol
 from undrift.sim.device.model import DeviceModel, device_from_json, device_json, read_device
 from undrift.sim.device.presets import PRESETS, grade_of, preset, random_device, without_assumed
 from undrift.sim.motion.bench import BenchErrors
@@ -30,7 +32,6 @@ from undrift.study.recorded import MotionEntry, RecordedPeople, recorded_people
 from undrift.study.sessions import SESSIONS, CalibrationSession, Fit, table_protocol
 from undrift.units import RADIAN_PER_DEGREE
 
-Positive = Annotated[float, Gt(0.0)]
 Values = tuple[float, ...]
 Timing = Literal["aligned", "real time"]
 DEVICE = "enc03j_3031"  # the note's
@@ -38,16 +39,42 @@ MARGIN_DEG = 0.087  # 0.15 deg at most, as simulated and actual device differ in
 SUBJECTS = 30
 COUNT_S = 0.1  # longest time between two counts of the encoder at a rate that a table can impose
 
-# Default of [study.bench]. Encoder and servo are from the note. All other values are assumed unless a source is given.
-NOTE_BENCH = BenchErrors(
-    face_tilt=0.1 * RADIAN_PER_DEGREE,  # assumed: a squared block on a plate
-    mount_tilt=0.1 * RADIAN_PER_DEGREE,  # assumed: the same block
-    level=0.05 * RADIAN_PER_DEGREE,  # assumed: a bubble level
-    wobble=0.01 * RADIAN_PER_DEGREE,  # assumed for a motor's bearings (precision tables have a few arc seconds)
-    table_rate=0.01 * 0.01,  # crystals of a controller and a computer differ by 50 to 100 ppm
-    servo=0.012 * RADIAN_PER_DEGREE,  # largest error of the angle in the note, which the encoder measures
-    encoder_lines=10_000,  # note: N = 10,000, read as lines
-)
+
+class BenchTable(FileTable):
+    """Standard deviations of the errors of a bench. Encoder and servo are from the note, other values are assumed."""
+
+    face_tilt_deg: NonNegativeFloat = 0.1  # tilt of each face, about each axis: a squared block on a plate
+    mount_tilt_deg: NonNegativeFloat = (
+        0.1  # device against the table's axis, about each axis, for each mounting: the same block
+    )
+    level_deg: NonNegativeFloat = (
+        0.05  # tilt of the table's axis from the vertical, about each horizontal axis: a bubble level
+    )
+    # wobble of the table's axis between dwells, about each axis: a motor's bearings (precision tables have a few arc seconds)
+    wobble_deg: NonNegativeFloat = 0.01
+    table_rate_percent: NonNegativeFloat = (
+        0.01  # error of all rates: crystals of a controller and a computer differ by 50 to 100 ppm
+    )
+    servo_deg: NonNegativeFloat = 0.012  # error of the angle turned in a dwell: the largest in the note
+    encoder_lines: Annotated[int, Ge(0)] = (
+        10_000  # lines of the encoder, four counts each, as in the note (0: rates without steps)
+    )
+
+    @property
+    def errors(self) -> BenchErrors:
+        """Errors of the simulated bench."""
+        return BenchErrors(
+            face_tilt=self.face_tilt_deg * RADIAN_PER_DEGREE,
+            mount_tilt=self.mount_tilt_deg * RADIAN_PER_DEGREE,
+            level=self.level_deg * RADIAN_PER_DEGREE,
+            wobble=self.wobble_deg * RADIAN_PER_DEGREE,
+            table_rate=0.01 * self.table_rate_percent,
+            servo=self.servo_deg * RADIAN_PER_DEGREE,
+            encoder_lines=self.encoder_lines,
+        )
+
+
+NOTE_BENCH = BenchTable()
 
 # ---- the plan
 
@@ -82,10 +109,10 @@ class NoteNumbers:
 class TryEntry:
     """[task.tried]: values of the note's four numbers. The others are tried one at a time around the first value of each list."""
 
-    cutoff_hz: Annotated[tuple[Positive, ...], MinLen(1)] = (11.1,)
-    turn_rate_step_dps: Annotated[tuple[Positive, ...], MinLen(1)] = (5.0,)
-    turn_rate_min_dps: Annotated[tuple[Positive, ...], MinLen(1)] = (5.0,)
-    turn_rate_max_dps: Annotated[tuple[Positive, ...], MinLen(1)] = (90.0,)
+    cutoff_hz: Annotated[tuple[PositiveFloat, ...], MinLen(1)] = (11.1,)
+    turn_rate_step_dps: Annotated[tuple[PositiveFloat, ...], MinLen(1)] = (5.0,)
+    turn_rate_min_dps: Annotated[tuple[PositiveFloat, ...], MinLen(1)] = (5.0,)
+    turn_rate_max_dps: Annotated[tuple[PositiveFloat, ...], MinLen(1)] = (90.0,)
 
     @property
     def around(self) -> NoteNumbers:
@@ -142,9 +169,9 @@ class Frame:
     offset: OffsetRule = "rest"  # offset that is subtracted in a trial (none in the note)
     timing: Timing = "aligned"  # compared with the true pitch of the readings' instant, or of now
     fit: Fit = "product"  # paper: the note's matrix and not-a-knot splines
-    margin_deg: Positive = MARGIN_DEG  # smallest difference that matters
-    target_deg: tuple[Positive, ...] = (0.5, 1.0, 2.0)  # errors that are good enough
-    bench: BenchErrors = NOTE_BENCH
+    margin_deg: PositiveFloat = MARGIN_DEG  # smallest difference that matters
+    target_deg: tuple[PositiveFloat, ...] = (0.5, 1.0, 2.0)  # errors that are good enough
+    bench: BenchTable = NOTE_BENCH
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -174,14 +201,17 @@ class Study(Frame):
             raise InputError(f"study: excursion_k must be least and greatest, got {self.excursion_k}.")
         tried = (numbers.session() for task in self.tasks for *_, numbers in task.variations())
         for session in (*self.sessions, *tried):
-            if session.protocol is not None and self.bench.encoder_lines:
+            if session.protocol is not None:
                 self._check_rates(session.protocol)
 
     def _check_rates(self, protocol: Protocol) -> None:
-        """Raise if the table would turn by less than one count of its encoder in 0.1 s."""
+        """Raise if there is no rate, or if the table would turn by less than one count of its encoder in 0.1 s."""
+        if protocol.rates is None:
+            raise InputError(f"study: the protocol of {protocol.name} has no rates. Add the table [rates].")
+        if not self.bench.encoder_lines:
+            return
         count_deg = 360.0 / (4.0 * self.bench.encoder_lines)
-        low, high, step = protocol.turn_rate_min, protocol.turn_rate_max, protocol.turn_rate_step
-        rates_dps = rate_grid(low, high, step, rule=protocol.grid) / RADIAN_PER_DEGREE
+        rates_dps = protocol.turn_rates() / RADIAN_PER_DEGREE
         slowest = float(rates_dps[rates_dps > 0.0].min())
         if slowest * COUNT_S < count_deg * (1.0 - 1e-9):
             raise InputError(
@@ -271,9 +301,7 @@ def note_study() -> Study:
 # ---- study.toml
 
 
-@stored()
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TaskEntry:
+class TaskEntry(FileTable):
     """[[task]]."""
 
     name: str  # of the task
@@ -282,9 +310,7 @@ class TaskEntry:
     tried: TryEntry | None = None  # values of the note's numbers
 
 
-@stored()
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SessionEntry:
+class SessionEntry(FileTable):
     """[[session]]."""
 
     name: str
@@ -301,32 +327,30 @@ class StudyEntry(Frame):
     sessions: tuple[str, ...] = tuple(SESSIONS)  # names of sessions to try
 
 
-def _complete(tree: dict[str, Any]) -> dict[str, Any]:
-    """Return the tree of study.toml with all keys of the bench and of categories."""
-    study, lab = tree.get("study", {}), tree.get("category", {})
-    if isinstance(lab, dict) and all(isinstance(table, dict) for table in lab.values()):
-        tree = tree | {"category": {name: category_tree(name, table) for name, table in lab.items()}}
-    if isinstance(study, dict):
-        bench_table: Any = study.get("bench", {})
-        bench = tree_of(NOTE_BENCH) | bench_table if isinstance(bench_table, dict) else bench_table
-        tree = tree | {"study": study | {"bench": bench}}
-    return tree
-
-
-@stored(complete=_complete)
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StudyFile:
+class StudyFile(FileTable):
     """The whole file."""
 
     study: StudyEntry = StudyEntry()
     task: Annotated[tuple[TaskEntry, ...], MinLen(1)]
     session: tuple[SessionEntry, ...] = ()
-    category: dict[str, Category] = field(default_factory=dict)
+    category: dict[str, Category] = Field(default_factory=dict)
+
+
+def _with_whole_categories(tree: dict[str, Any]) -> dict[str, Any]:
+    """Return the tree of study.toml with all keys of its categories."""
+    tables = tree.get("category", {})
+    if not isinstance(tables, dict) or not all(isinstance(table, dict) for table in tables.values()):
+        return tree
+    return tree | {"category": {name: category_tree(name, table) for name, table in tables.items()}}
 
 
 def read_study(path: str | Path) -> Study:
     """Read study.toml."""
-    file, folder = read(StudyFile, path), Path(path).parent
+    folder = Path(path).parent
+    tree, text = toml_of(path)
+    with naming(path):
+        tree = _with_whole_categories(tree)
+    file = value_of(StudyFile, tree, str(path), text)
     head = file.study
     frame: dict[str, Any] = {name: getattr(head, name) for name in Frame.__dataclass_fields__}
     frame["name"] = head.name or Path(path).stem

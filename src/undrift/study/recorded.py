@@ -12,10 +12,10 @@ import csv
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
-from annotated_types import Gt
+from pydantic import PositiveFloat
 
 from undrift.arrays import BoolArray, FloatArray, window_sums
 from undrift.base.codec import stored
@@ -28,8 +28,6 @@ from undrift.sim.motion.motion import Motion
 from undrift.sim.motion.poses import PoseSettings, PoseSpline, fit_pose_spline
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
-Positive = Annotated[float, Gt(0.0)]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Posed:
@@ -39,7 +37,7 @@ class Posed:
     # Or the segment that the device is worn on, found by its markers: pelvis (the device sits at L5) or trunk
     body: BodyName | None = None
     up: Literal["y", "z"] | None = None  # Laboratory axis that points up, for markers
-    rest_s: Positive | None = None  # rest at the start, s (by default it is detected, at most 6 s)
+    rest_s: PositiveFloat | None = None  # rest at the start, s (by default it is detected, at most 6 s)
     hold: bool = False  # hold the first pose for ``rest_s`` if a recording has no rest
 
 

@@ -112,7 +112,7 @@ class StudyDevice:
         """Return the key of the fit of a session, or of a rival by its name."""
         study = self.study
         fit = study.fit if isinstance(session, CalibrationSession) and session.kind == "table" else "product"
-        return key_of(self.text, session, study.bench, fit, study.seed, study.group, self.number)
+        return key_of(self.text, session, study.bench.errors, fit, study.seed, study.group, self.number)
 
     def calibration(self, session: CalibrationSession) -> Calibration | None:
         """Return the fit of a session. Return None if the session cannot calibrate the device."""
@@ -128,7 +128,7 @@ class StudyDevice:
 
     def fit(self, session: CalibrationSession) -> Calibration | None:
         """Record a session and fit it. Return None if the session cannot calibrate the device."""
-        how: dict[str, Any] = {"errors": self.study.bench, "streams": self.streams, "fit": self.study.fit}
+        how: dict[str, Any] = {"errors": self.study.bench.errors, "streams": self.streams, "fit": self.study.fit}
         if not session.suits(self.model):
             return None
         with suppress(CalibrationError):

@@ -27,7 +27,15 @@ from undrift.calibration.table import DwellMeans, imposed_rates
 from undrift.drift.fit import DriftSettings, fit_drift
 from undrift.drift.offset import StaticSettings
 from undrift.model import Calibration, Sensor, TriadModel
-from undrift.programme import Protocol, programme_of, rate_grid
+from undrift.programme import (
+    FacesTable,
+    Protocol,
+    ProtocolTable,
+    RatesTable,
+    TemperaturesTable,
+    programme_of,
+    rate_grid,
+)
 from undrift.record import FACES, Record
 from undrift.sim.device.model import DeviceModel
 from undrift.sim.device.simulate import simulate_device
@@ -79,7 +87,7 @@ class CalibrationSession:
             return 0.5 * MOTION_RECORDINGS
         warming = WARMING_MIN if self.warm else 0.0
         if self.protocol is not None:
-            return programme_of(replace(self.protocol, faces_at="room")).duration_s / 60.0 + warming
+            return programme_of(self.protocol.with_faces_at_room()).duration_s / 60.0 + warming
         kind: BenchKind = "ferraris" if self.kind == "hand" else "multi_position"
         return float(bench_motion(kind, rng=np.random.default_rng(0)).time[-1]) / 60.0 + warming
 
@@ -88,7 +96,7 @@ class CalibrationSession:
         """Part of the session before its soaks, which sessions with the same rates share."""
         if self.protocol is None:
             return self
-        return replace(self, name="", protocol=replace(self.protocol, name="", temperatures_c=()))
+        return replace(self, name="", protocol=self.protocol.named("").but(temperatures=None))
 
     def suits(self, device: DeviceModel) -> bool:
         """Return False for a session of motion only with readings in counts or volts, as motion cannot determine a gain."""
@@ -125,15 +133,20 @@ WARMING_MIN = 30.0  # to warm the device on a person, min
 
 def table_protocol(name: str, step_dps: float, min_dps: float, max_dps: float) -> Protocol:
     """Return a rate-table protocol from the note's numbers, deg/s. Its grid omits omega_m, as in the note's count."""
-    step, low, high = (value * RADIAN_PER_DEGREE for value in (step_dps, min_dps, max_dps))
-    return Protocol(
-        name=name, grid="paper", turn_rate_step=step, turn_rate_min=low, turn_rate_max=high, dwell_s=2.0, bracket_s=6.0,
-    )  # fmt: skip
+    rate_grid(min_dps, max_dps, step_dps)  # an InputError, in place of pydantic's
+    rates = RatesTable(
+        turn_rate_min_dps=min_dps, turn_rate_max_dps=max_dps, turn_rate_step_dps=step_dps, grid="paper", seconds=2.0
+    )
+    return Protocol(protocol=ProtocolTable(name=name), faces=FacesTable(), rates=rates)
+
+
+def _heated(protocol: Protocol, name: str, *set_points_c: float) -> Protocol:
+    return protocol.named(name).but(temperatures=TemperaturesTable(set_points_c=set_points_c))
 
 
 NOTE_SET_POINTS_C = (18.0, 30.0, 45.0, 60.0, 75.0)
 _THREE = table_protocol("three rates", 37.5, 15.0, 90.0)
-_THREE = replace(_THREE, grid="inclusive")
+_THREE = _THREE.but(rates=_THREE.rates and _THREE.rates.but(grid="inclusive"))
 _NOTE = table_protocol("note rates", 5.0, 5.0, 90.0)
 SESSIONS: dict[str, CalibrationSession] = {
     session.name: session
@@ -145,14 +158,8 @@ SESSIONS: dict[str, CalibrationSession] = {
         CalibrationSession(name="three rates", kind="table", protocol=_THREE),
         CalibrationSession(name="three rates, warm", kind="table", protocol=_THREE, warm=True),
         CalibrationSession(name="note rates", kind="table", protocol=_NOTE),
-        CalibrationSession(
-            name="two set-points",
-            kind="table",
-            protocol=replace(_THREE, name="two set-points", temperatures_c=(25.0, 40.0)),
-        ),
-        CalibrationSession(
-            name="note", kind="table", protocol=replace(_NOTE, name="note", temperatures_c=NOTE_SET_POINTS_C)
-        ),
+        CalibrationSession(name="two set-points", kind="table", protocol=_heated(_THREE, "two set-points", 25.0, 40.0)),
+        CalibrationSession(name="note", kind="table", protocol=_heated(_NOTE, "note", *NOTE_SET_POINTS_C)),
     )
 }
 
@@ -208,13 +215,13 @@ def _bench(session: CalibrationSession, errors: BenchErrors) -> BenchSettings:
     if protocol is None:
         hand_errors = replace(errors, face_tilt=HAND_FACE, hand_axis=HAND_AXIS)
         return BenchSettings(sample_rate_hz=SAMPLE_RATE_HZ, errors=hand_errors)
-    rates = rate_grid(protocol.turn_rate_min, protocol.turn_rate_max, protocol.turn_rate_step, rule=protocol.grid)
+    rates, usual = protocol.turn_rates(), BenchSettings()
     return BenchSettings(
         sample_rate_hz=SAMPLE_RATE_HZ,
         errors=errors,
         turn_rates=tuple(rates[rates > 0.0].tolist()),
-        dwell_s=protocol.dwell_s or 2.0,
-        still_s=protocol.face_s,
+        dwell_s=2.0 if protocol.rates is None else protocol.rates.seconds,
+        still_s=usual.still_s if protocol.faces is None else protocol.faces.seconds,
     )
 
 

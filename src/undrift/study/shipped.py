@@ -62,7 +62,7 @@ def device_text(device: DeviceModel) -> str:
 def key_of(device: str, session: CalibrationSession | str, *words: Any) -> int:
     """Return the hash of a device, a session or rival, and all else that a fit depends on."""
     if isinstance(session, CalibrationSession):
-        session = replace(session, name="", protocol=session.protocol and replace(session.protocol, name=""))
+        session = replace(session, name="", protocol=session.protocol and session.protocol.named(""))
     return int.from_bytes(hashlib.blake2b(repr((device, session, words)).encode(), digest_size=8).digest(), "big")
 
 

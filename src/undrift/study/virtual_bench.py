@@ -19,8 +19,16 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.drift.fit import DriftFit
 from undrift.errors import InputError
-from undrift.programme import ProgrammeSettings, Protocol, programme_of
-from undrift.record import FACES, Record, Reference
+from undrift.programme import (
+    FacesTable,
+    ProgrammeSettings,
+    Protocol,
+    ProtocolTable,
+    RatesTable,
+    TemperaturesTable,
+    programme_of,
+)
+from undrift.record import Record, Reference
 from undrift.rig.chamber import ChamberSetup
 from undrift.rig.folder import RunFolder
 from undrift.rig.lock import stopping_on_signals
@@ -52,22 +60,22 @@ Tell = Callable[[str, float], None]  # receives the current activity, and the sh
 def bench_protocols(*, quick: bool = False) -> tuple[Protocol, Protocol]:
     """Return the protocols of the demo: at room temperature, and at set-points."""
     seconds = 3.0
-    few = Protocol(
-        name="thermal",
-        faces=() if quick else FACES,
-        face_s=seconds,
-        dwell_s=seconds,
+    faces = FacesTable(seconds=seconds)
+    rates = RatesTable(
+        turn_rate_min_dps=45.0,
+        turn_rate_max_dps=90.0,
+        turn_rate_step_dps=45.0,
+        seconds=seconds,
         bracket_s=2.0 * seconds,
-        turn_rate_min=45.0 * RADIAN_PER_DEGREE,
-        turn_rate_max=90.0 * RADIAN_PER_DEGREE,
-        turn_rate_step=45.0 * RADIAN_PER_DEGREE,
-        temperatures_c=SET_POINTS_C[1:3] if quick else SET_POINTS_C,
-        soak_c_per_min=SOAK_C_PER_MIN,
-        board_lag_s=AIR.board_lag_s,
     )
-    least = (45.0 if quick else 15.0) * RADIAN_PER_DEGREE
-    room = replace(few, name="bench", faces=FACES, bracket_s=seconds, temperatures_c=())
-    return replace(room, turn_rate_min=least, turn_rate_step=least), few
+    set_points_c = SET_POINTS_C[1:3] if quick else SET_POINTS_C
+    soaks = TemperaturesTable(set_points_c=set_points_c, soak_c_per_min=SOAK_C_PER_MIN, board_lag_s=AIR.board_lag_s)
+    few = Protocol(
+        protocol=ProtocolTable(name="thermal"), faces=None if quick else faces, rates=rates, temperatures=soaks
+    )
+    least = 45.0 if quick else 15.0
+    more = rates.but(turn_rate_min_dps=least, turn_rate_step_dps=least, bracket_s=seconds)
+    return Protocol(protocol=ProtocolTable(name="bench"), faces=faces, rates=more), few
 
 
 def bench_device() -> DeviceModel:

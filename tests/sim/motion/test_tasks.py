@@ -129,7 +129,7 @@ def test_position_angles_rate_acceleration_and_force_agree_to_a_millionth(name: 
 @pytest.mark.parametrize("group", TABLE_2)
 def test_people_of_a_category_keep_its_ages_heights_and_bounds(name: CategoryName, group: Group) -> None:
     numbers = CATEGORIES[name]
-    ages, heights = (numbers.age_years, numbers.height) if numbers.age_years and numbers.height else TABLE_2[group]
+    ages, heights = (numbers.age_years, numbers.height_m) if numbers.age_years and numbers.height_m else TABLE_2[group]
     people = cohort(group, rng=np.random.default_rng(2), category=name)
     assert len({person.habits.root for person in people}) == GROUP_SIZE
     for printed, drawn in ((ages, [p.age_years for p in people]), (heights, [p.height for p in people])):

@@ -13,7 +13,7 @@ from undrift.base import codec
 from undrift.sim.device.effects import Effect, Sampling, SensorChain, Thermometer
 
 
-@codec.stored(kind="undrift.device", format=1, whole=True)
+@codec.stored(kind="undrift.device", whole=True)
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DeviceModel(Effect):
     """Three gyroscopes, three accelerometers, a thermometer and a clock."""
@@ -41,7 +41,7 @@ def read_device(path: Path | str) -> DeviceModel:
 
 def device_json(device: DeviceModel) -> dict[str, Any]:
     """Return a device as plain values for JSON."""
-    return codec.tree_by_keys(device)
+    return dict(codec.tree_of(device))
 
 
 def device_from_json(content: object) -> DeviceModel:

@@ -9,13 +9,11 @@
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
-from annotated_types import Ge
 
 from undrift.arrays import FloatArray
-from undrift.base.codec import Key, stored
 from undrift.errors import InputError
 from undrift.frames import cross, quaternion_product
 from undrift.record import FACES, Axis, Face
@@ -25,33 +23,28 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 # ---- Errors of table, faces and hands. Draws are standard normal numbers, which are then scaled.
 
-OF_TABLE = (
-    "face_tilt", "mount_tilt", "level", "wobble", "table_rate", "servo", "encoder_lines",
-)  # fmt: skip
 
-
-@stored(keys=OF_TABLE)  # keys of [study.bench]
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BenchErrors:
     """Standard deviations of the errors of a bench. With zeros, the bench is ideal."""
 
     # tilt of each face, about each axis, rad
-    face_tilt: Annotated[float, Ge(0.0), Key("face_tilt_deg", unit=RADIAN_PER_DEGREE)] = 0.0
+    face_tilt: float = 0.0
     hand_axis: float = 0.0  # tilt of the axis of a turn by hand, about each perpendicular axis, rad
     # misalignment of the device on the rig, about each axis, rad, drawn for each mounting
-    mount_tilt: Annotated[float, Ge(0.0), Key("mount_tilt_deg", unit=RADIAN_PER_DEGREE)] = 0.0
+    mount_tilt: float = 0.0
     # tilt of the rig's axis from the vertical, about each horizontal axis, rad, drawn once per rig
-    level: Annotated[float, Ge(0.0), Key("level_deg", unit=RADIAN_PER_DEGREE)] = 0.0
+    level: float = 0.0
     # wobble of the table's axis between dwells, or of a plane between angles, about each axis, rad
-    wobble: Annotated[float, Ge(0.0), Key("wobble_deg", unit=RADIAN_PER_DEGREE)] = 0.0
+    wobble: float = 0.0
     # relative error of rate or frequency, drawn once per rig
-    table_rate: Annotated[float, Ge(0.0), Key("table_rate_percent", unit=0.01)] = 0.0
+    table_rate: float = 0.0
     ripple: float = 0.0  # relative amplitude of a rate error with the period of a turn
     excess: float = 0.0  # relative transient error of the rate at the start of a dwell
     settle_s: float = 0.5  # time constant of that transient, s
     # error of the angle turned in a dwell, rad
-    servo: Annotated[float, Ge(0.0), Key("servo_deg", unit=RADIAN_PER_DEGREE)] = 0.0
-    encoder_lines: Annotated[int, Ge(0)] = 0  # lines of the table's encoder, four counts each (0: rates without steps)
+    servo: float = 0.0
+    encoder_lines: int = 0  # lines of the table's encoder, four counts each (0: rates without steps)
 
 
 IDEAL = BenchErrors()

@@ -47,7 +47,7 @@ import numpy as np
 from annotated_types import Gt
 
 from undrift.arrays import FloatArray
-from undrift.base.codec import Key, slots_of, stored, tree_of, value_of
+from undrift.base.codec import stored, tree_of, value_of
 from undrift.errors import InputError
 from undrift.frames import cross, quaternion_conjugate, quaternion_product, rotate
 from undrift.sim.device.simulate import Streams, draw_streams
@@ -187,7 +187,7 @@ class Category:
 
     label: str  # name for display
     age_years: Range | None = None  # minimum, mean and maximum (by default the note's Table 2, by group)
-    height: Annotated[Range | None, Key("height_m")] = None  # minimum, mean and maximum, m
+    height_m: Range | None = None  # minimum, mean and maximum, m
     # age for the numbers below (each further year adds 0.3 % to durations and 1 % to sway)
     typical_age_years: Annotated[float, Gt(0.0)]
     # largest rate about any axis in sit-to-stand, step and posturography, deg/s (a faster performance is drawn again)
@@ -195,11 +195,11 @@ class Category:
     # mean, standard deviation, minimum and maximum (by default the last two are 2.5 standard deviations from the mean)
     rise_s: Spread = (2.3, 0.5, 1.5, 4.0)  # duration of sit-to-stand, s
     # instant at which the trunk turns back, share of the duration
-    turn: Annotated[Spread, Key("turn_share")] = (0.40, 0.05, 0.3, 0.5)
+    turn_share: Spread = (0.40, 0.05, 0.3, 0.5)
     flexion_deg: Spread = (32.0, 7.0, 15.0, 50.0)  # At L5, deg
     sitting_deg: Spread = (5.0, 5.0, -10.0, 20.0)  # First pitch, deg
     standing_deg: Spread = (3.0, 3.0, -6.0, 12.0)  # last pitch, also for a step, deg
-    settling: Annotated[float, Gt(0.0), Key("settling_ratio")] = 1.0  # sway after rising, relative to level_2
+    settling_ratio: Annotated[float, Gt(0.0)] = 1.0  # sway after rising, relative to level_2
     step_s: Spread = (2.0, 0.4, 1.2, 3.2)  # Step: duration, s
     lean_deg: Spread = (12.0, 4.0, 3.0, 25.0)  # Forward, deg
     roll_deg: Spread = (5.0, 2.0, 1.0, 10.0)  # To one side, deg
@@ -207,12 +207,12 @@ class Category:
     sway_deg: tuple[Spread, Spread, Spread] = ((0.9, 0.3, 0.3, 1.8), (0.6, 0.2, 0.2, 1.2), (0.4, 0.1, 0.1, 0.8))
     upright_deg: Spread = (3.0, 2.0, -3.0, 9.0)  # Its pitch, deg
     # stiffness in m g h, which sets the spectrum together with noise_s
-    stiffness: Annotated[Spread, Key("stiffness_mgh")] = (1.45, 0.08, 1.25, 1.6)
+    stiffness_mgh: Spread = (1.45, 0.08, 1.25, 1.6)
     noise_s: Annotated[float, Gt(0.0)] = 1.5  # Time constant of the torque's noise, s
 
     def __post_init__(self) -> None:
-        values: dict[str, Any] = {slot.path[0]: getattr(self, slot.name) for slot in slots_of(Category)}
-        for name, value in values.items():
+        for name in Category.__dataclass_fields__:
+            value = getattr(self, name)
             for row in value if name == "sway_deg" else (value,) * isinstance(value, tuple):
                 least, mean, greatest = row if len(row) == 3 else (row[2], row[0], row[3])
                 rising = least <= mean <= greatest or name == "most_dps"
@@ -293,8 +293,8 @@ def cohort(group: Group, *, rng: np.random.Generator, category: Kind = DEFAULT) 
             raise InputError(f"cohort: unknown group or category '{got}'. Use one of {', '.join(choices)}.")
     streams, numbers = draw_streams(rng), numbers_of(category)
     age_range, height_range = TABLE_2[group]
-    if numbers.age_years and numbers.height:
-        age_range, height_range = numbers.age_years, numbers.height
+    if numbers.age_years and numbers.height_m:
+        age_range, height_range = numbers.age_years, numbers.height_m
     ages = _spread(age_range, streams.of(f"{group} age")).tolist()
     heights = _spread(height_range, streams.of(f"{group} height")).tolist()
     roots = streams.of(f"{group} habits")
@@ -413,7 +413,7 @@ def _slowness(who: Performance) -> float:
 def _sit_to_stand(who: Performance, rest_s: float) -> Task:
     numbers = who.category
     duration = who.number("sit_to_stand duration", *numbers.rise_s) * _slowness(who)
-    flexion = duration * who.number("sit_to_stand peak time", *numbers.turn)
+    flexion = duration * who.number("sit_to_stand peak time", *numbers.turn_share)
     lean = who.number("sit_to_stand lean", *numbers.flexion_deg) * DEGREE
     sitting = who.number("sit_to_stand first pitch", *numbers.sitting_deg) * DEGREE
     standing = who.number("sit_to_stand last pitch", *numbers.standing_deg) * DEGREE
@@ -441,7 +441,7 @@ def _there_and_back(who: Performance, name: str, start_s: float, duration_s: flo
 
 
 def _settling(who: Performance, amplitude_deg: float, start_s: float, stop_s: float) -> tuple[Sway, ...]:
-    amplitude = 0.5 * amplitude_deg * DEGREE * who.category.settling
+    amplitude = 0.5 * amplitude_deg * DEGREE * who.category.settling_ratio
     return _waves(who.draw, 2, amplitude, (0.4, 1.2), (start_s, stop_s), 0.45 * (stop_s - start_s))
 
 
@@ -493,7 +493,9 @@ def _posturography(who: Performance, rest_s: float) -> Task:
     arm = 0.54 * who.height
     numbers = who.category
     older = 1.0 + 0.01 * who.older  # [assumed] sway rises by a per cent a year
-    balance = Balance(centre_height=arm, kp=who.number("stance stiffness", *numbers.stiffness), noise_s=numbers.noise_s)
+    balance = Balance(
+        centre_height=arm, kp=who.number("stance stiffness", *numbers.stiffness_mgh), noise_s=numbers.noise_s
+    )
     pitch, roll, yaw = (
         who.number(f"sway {name}", *spread) * older * DEGREE
         for name, spread in zip(("pitch", "roll", "yaw"), numbers.sway_deg, strict=True)
