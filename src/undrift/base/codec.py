@@ -13,8 +13,9 @@
         rms: AnyNumber = math.nan
         half_width: Annotated[FloatArray | None, Shape("n"), LATER] = None
 
-    write(loop, "loop.json")      {"kind": "undrift.loop", "format": 1, "temp_c": [20.0, 30.0], "rms": null}
-    read(Loop, "loop.json")       the same value, to the last bit
+    json_text(loop, "loop.json")   {"kind": "undrift.loop", "format": 1, "temp_c": [20.0, 30.0], "rms": null}
+    read_json(Loop, "loop.json")   the same value, to the last bit
+    read_toml(Turn, "turn.toml")
 
 Tables are strict and closed: a number is no text, and an unknown key is an error. A key is required if its field has no
 default, or in a dataclass that is stored ``whole``. A dataclass is built by pydantic when a file is read, with its
@@ -36,7 +37,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic_core import core_schema
 
 from undrift.errors import FileFormatError, InputError
-from undrift.files import MOST_TREE, read_tree, too_large, write_whole
+from undrift.files import MOST_TREE, read_tree, too_large
 
 Value = TypeVar("Value")
 Tree = dict[str, Any]
@@ -201,16 +202,24 @@ def tree_of(value: Any) -> Any:
 # ---- files
 
 
-def _is_json(cls: type, path: Path) -> bool:
-    """Return True for JSON, False for TOML, from the file extension. With another extension, a class with a kind is JSON."""
-    return path.suffix == ".json" or (path.suffix != ".toml" and cls in _KINDS)
+def read_json(cls: type[Value], path: Path | str) -> Value:
+    """Read a value from a JSON file. NaN and Infinity are refused."""
 
+    def refuse(name: str) -> float:
+        raise ValueError(f"{name}, which JSON cannot represent")
 
-def read(cls: type[Value], path: Path | str) -> Value:
-    """Read a value from a file of JSON or TOML."""
-    if _is_json(cls, Path(path)):
-        return value_of(cls, json_of(Path(path), _called(cls)), str(path))
-    return read_toml(cls, path)[0]
+    path = Path(path)
+    if path.is_file() and path.stat().st_size > MOST_TREE:
+        raise too_large(path)
+    try:
+        tree = json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
+    except OSError as error:
+        raise FileFormatError(f"{path}: expected {_called(cls)} file, got {error.strerror}. Check the path.") from error
+    except (ValueError, RecursionError) as error:  # broken JSON, or text that is not UTF-8
+        raise FileFormatError(
+            f"{path}: expected {_called(cls)} file, got no valid JSON ({error}). Check the path."
+        ) from error
+    return value_of(cls, tree, str(path))
 
 
 def read_toml(cls: type[Value], path: Path | str) -> tuple[Value, str]:
@@ -230,30 +239,6 @@ def toml_of(path: Path | str) -> tuple[Tree, str]:
         ) from error
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise FileFormatError(f"{path}: expected TOML, got an invalid line: {error}") from error
-
-
-def json_of(path: Path, called: str) -> Any:
-    """Return the content of a JSON file. NaN and Infinity are refused. ``called`` names the file in messages."""
-
-    def refuse(name: str) -> float:
-        raise ValueError(f"{name}, which JSON cannot represent")
-
-    if path.is_file() and path.stat().st_size > MOST_TREE:
-        raise too_large(path)
-    try:
-        return json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
-    except OSError as error:
-        raise FileFormatError(f"{path}: expected {called} file, got {error.strerror}. Check the path.") from error
-    except (ValueError, RecursionError) as error:  # broken JSON, or text that is not UTF-8
-        raise FileFormatError(
-            f"{path}: expected {called} file, got no valid JSON ({error}). Check the path."
-        ) from error
-
-
-def write(value: Any, path: Path | str) -> None:
-    """Write a value to a file of JSON or TOML, whole or not at all."""
-    as_json = _is_json(type(value), Path(path))
-    write_whole(Path(path), json_text(value, str(path)) if as_json else toml_text(tree_of(value)))
 
 
 def json_text(value: Any, name: str) -> str:

@@ -34,7 +34,7 @@ from undrift.io.formats import (
 from undrift.io.inspect import needs_map
 from undrift.io.mocap import pose_from_cluster
 from undrift.io.reference import ReferenceMap, read_reference_map
-from undrift.io.session import NAME, SessionFile, files_of, gravity_of, read_session, session_from_files
+from undrift.io.session import NAME, SessionFile, gravity_of, read_session, session_from_files
 from undrift.model import BodyMounting, Calibration
 from undrift.record import FileMap, GravitySource, Kind, Record, Reference, Session, Still
 from undrift.report.page import Origin
@@ -309,7 +309,7 @@ def recordings_of(
 
 def _names_in(folder: Path) -> list[list[str]]:
     """Return the names of the files of each recording of a session."""
-    return [files_of(entry) for entry in codec.read_toml(SessionFile, folder / NAME)[0].recording]
+    return [entry.files for entry in codec.read_toml(SessionFile, folder / NAME)[0].recording]
 
 
 # ---- readings and their calibration

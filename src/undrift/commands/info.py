@@ -21,7 +21,7 @@ from undrift.files import write_whole
 from undrift.findings import Finding
 from undrift.io.inspect import Description, describe, describe_poses
 from undrift.io.reference import read_reference_map
-from undrift.io.session import NAME, session_text
+from undrift.io.session import NAME, proposed_toml
 from undrift.io.store import read_calibration
 from undrift.record import Session
 from undrift.report import Report, Table
@@ -336,7 +336,7 @@ def _write_session(files: tuple[Path, ...], path: Path, opening: Opening, turn_d
                 check_triads(record)
     progress("looking for rests and turns", 0.5)
     session, steady = find_pieces(bare, CalibrateSettings(turn_angle_deg=turn_deg))
-    text = session_text(session, files, folder, file_map=opening.file_map(), steady=steady)
+    text = proposed_toml(session, files, folder, file_map=opening.file_map(), steady=steady)
     folder.mkdir(exist_ok=True)
     write_whole(folder / NAME, text)
     faces = list(dict.fromkeys(still.face for still in session.stills if still.face is not None))

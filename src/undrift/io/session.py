@@ -5,16 +5,8 @@ kind = "calibration"                # calibration | thermal | static
 serial = "MTi-1"
 gravity_m_s2 = 9.81                 # or latitude_deg and height_m
 mounting = "one"                    # of a fit to references: one mounting for all recordings; each its own without it
-[rate_table]                        # standard uncertainties; may be left out, and so may each key: the defaults
-table_level_deg = 0.1               # axis of the table against the vertical
-mount_tilt_deg = 0.1                # device against that axis, about each axis across
-rate_uncertainty = 0.0001           # of all rates in common, relative
-wobble_deg = 0.01                   # axis of the table from dwell to dwell
-[temperature]                       # how far the device may follow it, standard deviations; the defaults, of consumer parts
-gyro_offset_dps_per_k = 0.05
-unrecorded_span_k = 1.0             # change of temperature where neither a column nor rests in deg/s show it
-thermometer_lag_s = 0.0             # of the thermometer behind the sensors: 80 for an LM335 in still air
-span_limit_k = 2.0                  # a larger change within the session is a finding
+[rate_table]                        # standard uncertainties (record.RateTable); may be left out, and so may each key
+[temperature]                       # sensitivity of the device to temperature (record.TemperatureSensitivity); likewise
 [[recording]]
 file = "session.csv"                # and the keys of a map (io/column_map.py); none for undrift's own names and known formats
 [[recording]]                       # files side by side, one time base: as many tables of columns as files
@@ -39,18 +31,10 @@ import numpy as np
 from annotated_types import Ge, MinLen
 from pydantic import Field
 
-from undrift.arrays import FloatArray
-from undrift.base import codec
+from undrift.base.codec import FileTable, entry_name, line_of, read_toml, toml_block, toml_text, tree_of
 from undrift.errors import FileFormatError, InputError
 from undrift.files import checked_file, sha256_of, unwritten, write_together
-from undrift.io.column_map import (
-    NATIVE_KEYS,
-    Clock,
-    ColumnMap,
-    check_parts,
-    file_map_of,
-    map_of,
-)
+from undrift.io.column_map import NATIVE_KEYS, Clock, ColumnMap, check_parts, file_map_of, map_of
 from undrift.io.columns import ReadResult, build_record
 from undrift.io.formats import read_counted, settled
 from undrift.io.parquet import write_parquet
@@ -76,7 +60,7 @@ _SEAL = "# sha256 of all below: "
 _SLACK = 1e-3  # of a sample: a time written with fewer digits still finds its sample
 
 
-class HeadEntry(codec.FileTable):
+class HeadEntry(FileTable):
     """[session]."""
 
     kind: Kind  # calibration, thermal or static
@@ -93,8 +77,13 @@ class RecordingEntry(ColumnMap):
     file: str | Sequence[str]  # file next to session.toml, or several files that are joined side by side
     sha256: str = ""  # hash of the file: another content is refused
 
+    @property
+    def files(self) -> list[str]:
+        """Names of the files."""
+        return [self.file] if isinstance(self.file, str) else list(self.file)
 
-class PieceEntry(codec.FileTable):
+
+class PieceEntry(FileTable):
     """What [[still]] and [[turn]] share."""
 
     recording: int = 0  # number of the [[recording]], from 0
@@ -117,7 +106,7 @@ class TurnEntry(PieceEntry):
     angle_deg: float | None = None  # Turned about +axis
 
 
-class SessionFile(codec.FileTable):
+class SessionFile(FileTable):
     """The whole file."""
 
     session: HeadEntry  # device and place
@@ -165,51 +154,38 @@ def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
     path = path / NAME if path.is_dir() else path
     if not path.exists():
         raise InputError(f"{folder}: expected a folder with {NAME}, got none. Create {NAME} or check the path.")
-    stated, text = codec.read_toml(SessionFile, path)
+    table, text = read_toml(SessionFile, path)
     _check_seal(path, text)
-    inputs = [(path.name, sha256_of(path))]
-    read, records, stills, turns = list[ReadResult](), list[Record](), list[Still](), list[Turn]()
-    for number, entry in enumerate(stated.recording):
-        names = files_of(entry)
+    inputs, results, records = [(path.name, sha256_of(path))], list[ReadResult](), list[Record]()
+    pieces = list[Still | Turn]()
+    for number, entry in enumerate(table.recording):
         with _at(path, text, "recording", number):
             how = entry.beside(path.parent)
-            read.append(_read_recording(path.parent, names, how if clock is None else how.but(clock=clock)))
-            records.append(read[-1].record)
-            digests = [(name, sha256_of(path.parent / name)) for name in names if (path.parent / name).is_file()]
-            if entry.sha256 and entry.sha256 not in (digest for _, digest in digests):
-                raise FileFormatError(
-                    f"{names[0]}: the readings were changed after they were written (sha256). Restore the file, or record again."
-                )
-        inputs += digests
-    for number, still in enumerate(stated.still):
-        with _at(path, text, "still", number):
-            stills.append(Still(face=still.face, **_samples(still, records)))
-    for number, turn in enumerate(stated.turn):
-        with _at(path, text, "turn", number):
-            turns.append(_turn(turn, records))
+            results.append(_read_recording(path.parent, entry.files, how if clock is None else how.but(clock=clock)))
+            records.append(results[-1].record)
+            inputs += _digests(path.parent, entry)
+    entries: tuple[tuple[str, Sequence[StillEntry | TurnEntry]], ...] = (("still", table.still), ("turn", table.turn))
+    for name, number, piece in ((name, k, piece) for name, group in entries for k, piece in enumerate(group)):
+        with _at(path, text, name, number):
+            pieces.append(_piece(piece, records))
+    head = table.session
     with _at(path, text, "session"):
-        head = stated.session
         gravity_m_s2, source = gravity_of(head.gravity_m_s2, head.latitude_deg, head.height_m)
         return Session(
             kind=head.kind,
             serial=head.serial,
             gravity_m_s2=gravity_m_s2,
             records=tuple(records),
-            stills=tuple(stills),
-            turns=tuple(turns),
+            stills=tuple(piece for piece in pieces if isinstance(piece, Still)),
+            turns=tuple(piece for piece in pieces if isinstance(piece, Turn)),
             inputs=tuple(inputs),
-            file_map=_shared_map(stated.recording),
+            file_map=_shared_map(table.recording),
             gravity_source=source,
-            rate_table=stated.rate_table,
-            sensitivity=stated.temperature,
+            rate_table=table.rate_table,
+            sensitivity=table.temperature,
             mounting=head.mounting,
-            notes=tuple(note for result in read for note in result.notes),
+            notes=tuple(note for result in results for note in result.notes),
         )
-
-
-def files_of(entry: RecordingEntry) -> list[str]:
-    """Return the names of the files of a [[recording]]."""
-    return [entry.file] if isinstance(entry.file, str) else list(entry.file)
 
 
 def session_from_files(
@@ -233,18 +209,17 @@ def session_from_files(
         wanted = "one recording or more" if width == 1 else f"{width} files for each recording, as the map has tables"
         raise InputError(f"session: expected {wanted}, got {len(files)}. Name them.")
     names = [str(file) for file in files]
-    read = [_read_recording(Path(), names[at : at + width], how) for at in range(0, len(files), width)]
-    records = [result.record for result in read]
+    results = [_read_recording(Path(), names[at : at + width], how) for at in range(0, len(files), width)]
     gravity_m_s2, source = gravity_of(gravity_m_s2, latitude_deg, height_m)
     return Session(
         kind=kind,
-        serial=serial or records[0].device,
+        serial=serial or results[0].record.device,
         gravity_m_s2=gravity_m_s2,
-        records=tuple(records),
+        records=tuple(result.record for result in results),
         inputs=tuple((Path(name).name, sha256_of(name)) for name in names if Path(name).is_file()),
         file_map=_shared_map([how]),
         gravity_source=source,
-        notes=tuple(note for result in read for note in result.notes),
+        notes=tuple(note for result in results for note in result.notes),
     )
 
 
@@ -254,8 +229,18 @@ def _at(path: Path, text: str, *place: str | int) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        where = f"line {codec.line_of(text, place)}: {codec.entry_name(place) or place[0]}"
+        where = f"line {line_of(text, place)}: {entry_name(place)}"
         raise type(error)(f"{checked_file(path)}: {where}: {error}") from error
+
+
+def _digests(folder: Path, entry: RecordingEntry) -> list[tuple[str, str]]:
+    """Return the files of a recording with their sha256. A changed file is refused."""
+    digests = [(name, sha256_of(folder / name)) for name in entry.files if (folder / name).is_file()]
+    if entry.sha256 and entry.sha256 not in (digest for _, digest in digests):
+        raise FileFormatError(
+            f"{entry.files[0]}: the readings were changed after they were written (sha256). Restore the file, or record again."
+        )
+    return digests
 
 
 def _shared_map(maps: Sequence[ColumnMap]) -> FileMap | None:
@@ -284,9 +269,9 @@ def _read_recording(folder: Path, names: list[str], how: ColumnMap) -> ReadResul
     check_parts(how)
     joined: Record | None = None
     for name, part in zip(names, maps or (how,) * len(names), strict=True):
-        read = read_counted(folder / name, part if joined is None else part.but(temp_file=None))
-        joined = read.record if joined is None else _joined(joined, read.record, names[0], name)
-    return replace(read, record=joined or read.record)
+        result = read_counted(folder / name, part if joined is None else part.but(temp_file=None))
+        joined = result.record if joined is None else _joined(joined, result.record, names[0], name)
+    return replace(result, record=joined or result.record)
 
 
 def _joined(first: Record, record: Record, first_name: str, name: str) -> Record:
@@ -330,19 +315,8 @@ def gravity_of(
 # ---- stills and turns: seconds and degrees in the file, samples and rad/s in a session
 
 
-def _turn(entry: TurnEntry, records: Sequence[Record]) -> Turn:
-    if entry.turn_rate_dps is not None and entry.angle_deg is not None:
-        raise FileFormatError("expected turn_rate_dps or angle_deg, got both. Keep the quantity that was measured.")
-    if entry.angle_deg == 0.0:
-        raise FileFormatError(
-            "expected angle_deg other than 0, got 0. Enter the angle turned, for example 360 for a full turn."
-        )
-    rate, angle = (x if x is None else x * RADIAN_PER_DEGREE for x in (entry.turn_rate_dps, entry.angle_deg))
-    return Turn(axis=entry.axis, turn_rate=rate, angle=angle, **_samples(entry, records))
-
-
-def _samples(entry: PieceEntry, records: Sequence[Record]) -> dict[str, Any]:
-    """Return the samples [start, stop) of a span of time, and the other values that both kinds of phase share."""
+def _piece(entry: StillEntry | TurnEntry, records: Sequence[Record]) -> Still | Turn:
+    """Return an entry as samples [start, stop) of its recording."""
     if not 0 <= entry.recording < len(records):
         raise FileFormatError(f"expected recording 0 to {len(records) - 1}, got {entry.recording}")
     time = records[entry.recording].time
@@ -352,14 +326,29 @@ def _samples(entry: PieceEntry, records: Sequence[Record]) -> dict[str, Any]:
         raise FileFormatError(
             f"expected {first:g} <= start_s < stop_s <= {last:g} s as in its recording, got {entry.start_s:g} to {entry.stop_s:g} s"
         )
-    start, stop = np.searchsorted(time, (entry.start_s - _SLACK * step, entry.stop_s - _SLACK * step))
+    start, stop = map(int, np.searchsorted(time, (entry.start_s - _SLACK * step, entry.stop_s - _SLACK * step)))
     if stop <= start:
         raise FileFormatError(f"expected a sample or more between {entry.start_s:g} and {entry.stop_s:g} s, got none")
-    return {"start": int(start), "stop": int(stop), "recording": entry.recording, "temp_c": entry.temp_c}
+    shared: dict[str, Any] = {"start": start, "stop": stop, "recording": entry.recording, "temp_c": entry.temp_c}
+    if isinstance(entry, StillEntry):
+        return Still(face=entry.face, **shared)
+    if entry.turn_rate_dps is not None and entry.angle_deg is not None:
+        raise FileFormatError("expected turn_rate_dps or angle_deg, got both. Keep the quantity that was measured.")
+    if entry.angle_deg == 0.0:
+        raise FileFormatError(
+            "expected angle_deg other than 0, got 0. Enter the angle turned, for example 360 for a full turn."
+        )
+    rate, angle = (x if x is None else x * RADIAN_PER_DEGREE for x in (entry.turn_rate_dps, entry.angle_deg))
+    return Turn(axis=entry.axis, turn_rate=rate, angle=angle, **shared)
 
 
-def piece_entry(piece: Still | Turn, time: FloatArray) -> PieceEntry:
-    """Return a piece as [[still]] or [[turn]] state it: in seconds and degrees."""
+def _entries(session: Session) -> list[StillEntry | TurnEntry]:
+    pieces: tuple[Still | Turn, ...] = (*session.stills, *session.turns)
+    return [_entry_of(piece, session.records) for piece in pieces]
+
+
+def _entry_of(piece: Still | Turn, records: Sequence[Record]) -> StillEntry | TurnEntry:
+    time = records[piece.recording].time
     stop = time[piece.stop] if piece.stop < len(time) else time[-1] + np.median(np.diff(time))
     shared: dict[str, Any] = {"recording": piece.recording, "start_s": float(time[piece.start]), "stop_s": float(stop)}
     shared["temp_c"] = None if piece.temp_c is None else float(piece.temp_c)
@@ -397,22 +386,20 @@ def write_session(session: Session, folder: str | Path) -> None:
         The folder cannot be written.
     """
     folder = Path(folder)
-    head = HeadEntry(
-        kind=session.kind,
-        serial=session.serial,
-        gravity_m_s2=None if session.gravity_source == "standard" else session.gravity_m_s2,  # nobody stated it
-        mounting=session.mounting,
-    )
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise unwritten(folder, error) from error
     files = [f"recording_{number}.parquet" for number in range(len(session.records))]
-    pieces: tuple[Still | Turn, ...] = (*session.stills, *session.turns)
-    entries = [piece_entry(piece, session.records[piece.recording].time) for piece in pieces]
-    text = session_toml(head, [{"file": file} for file in files], entries, session.rate_table, session.sensitivity)
+    recordings = [{"file": file} for file in files]
+    text = session_toml(_head_of(session), recordings, _entries(session), session.rate_table, session.sensitivity)
     written = (partial(write_parquet, record) for record in session.records)
     write_together({**{folder / file: write for file, write in zip(files, written, strict=True)}, folder / NAME: text})
+
+
+def _head_of(session: Session) -> HeadEntry:
+    gravity_m_s2 = None if session.gravity_source == "standard" else session.gravity_m_s2  # nobody stated it
+    return HeadEntry(kind=session.kind, serial=session.serial, gravity_m_s2=gravity_m_s2, mounting=session.mounting)
 
 
 def session_toml(
@@ -423,51 +410,39 @@ def session_toml(
     sensitivity: TemperatureSensitivity = TemperatureSensitivity(),
 ) -> str:
     """Return the text of session.toml. The recordings are given by their keys."""
-    tables: dict[str, Any] = {"session": head.model_dump()}
+    tables: dict[str, Any] = {"session": tree_of(head)}
     for name, table in (("rate_table", rate_table), ("temperature", sensitivity)):
-        tables |= {} if table == type(table)() else {name: codec.tree_of(table)}
-    blocks = [codec.toml_block("recording", dict(recording)) for recording in recordings]
-    return "\n".join([codec.toml_text(tables), *blocks, *map(piece_toml, pieces)])
+        tables |= {} if table == type(table)() else {name: tree_of(table)}
+    blocks = [toml_block("recording", dict(recording)) for recording in recordings]
+    return "\n".join([toml_text(tables), *blocks, *map(_piece_toml, pieces)])
 
 
-def piece_toml(piece: PieceEntry) -> str:
-    """Return the text of a [[still]] or [[turn]]."""
-    return codec.toml_block("turn" if isinstance(piece, TurnEntry) else "still", piece.model_dump())
+def _piece_toml(piece: PieceEntry) -> str:
+    return toml_block("turn" if isinstance(piece, TurnEntry) else "still", tree_of(piece))
 
 
-def session_text(
-    session: Session,
-    files: Sequence[Path],
-    folder: Path,
-    *,
-    file_map: FileMap | None,
-    steady: Sequence[Turn] = (),
+def proposed_toml(
+    session: Session, files: Sequence[Path], folder: Path, *, file_map: FileMap | None, steady: Sequence[Turn] = ()
 ) -> str:
     """Return the session.toml of recordings for a folder. Steady turns are written as comments, because their rate is
     unknown.
     """
     width = len(files) // len(session.records)
-    standard = session.gravity_source == "standard"
-    head = HeadEntry(kind=session.kind, serial=session.serial, gravity_m_s2=None if standard else session.gravity_m_s2)
-    blocks = [
-        "# Written by undrift info --write-session from the recordings. Correct anything that is wrong.\n"
-        + codec.toml_text({"session": head.model_dump()})
-    ]
-    if standard:
-        blocks[0] += (
-            "# gravity_m_s2 = ?   # missing: standard gravity is assumed. Enter yours, or latitude_deg and height_m\n"
-        )
     map_keys = {} if file_map is None else json.loads(file_map.text)
+    recordings = []
     for number in range(len(session.records)):
         names = [os.path.relpath(file, folder) for file in files[number * width : (number + 1) * width]]
-        blocks.append(codec.toml_block("recording", {"file": names[0] if width == 1 else names, **map_keys}))
-    times = [record.time for record in session.records]
-    pieces: list[Still | Turn] = [*session.stills, *session.turns]
-    blocks += [piece_toml(piece_entry(piece, times[piece.recording])) for piece in pieces]
+        recordings.append({"file": names[0] if width == 1 else names, **map_keys})
+    comments = "# Written by undrift info --write-session from the recordings. Correct anything that is wrong.\n"
+    if session.gravity_source == "standard":
+        comments += (
+            "# gravity_m_s2 is missing: standard gravity is assumed. Enter yours, or latitude_deg and height_m.\n"
+        )
+    blocks = [comments + session_toml(_head_of(session), recordings, _entries(session))]
     for turn in steady:
-        lines = piece_toml(piece_entry(turn, times[turn.recording])).splitlines()
+        lines = _piece_toml(_entry_of(turn, session.records)).splitlines()
         marked = "".join(f"# {line}\n" for line in [*lines, "turn_rate_dps = ?"])
-        blocks.append("# a steady turn: state its achieved rate and take the marks away\n" + marked)
+        blocks.append("# a steady turn: enter its achieved rate and remove the marks\n" + marked)
     return "\n".join(blocks)
 
 

@@ -72,7 +72,7 @@ def read_calibration(path: Path | str) -> Calibration:
     """
     if is_imucal(Path(path)):
         return read_imucal(Path(path))
-    return codec.value_of(Calibration, codec.json_of(Path(path), "a calibration"), str(path))
+    return codec.read_json(Calibration, path)
 
 
 def calibration_json(calibration: Calibration) -> dict[str, Any]:

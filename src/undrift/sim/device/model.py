@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from undrift.base import codec
+from undrift.files import write_whole
 from undrift.sim.device.effects import Effect, Sampling, SensorChain, Thermometer
 
 
@@ -31,12 +32,12 @@ class DeviceModel(Effect):
 
 def write_device(device: DeviceModel, path: Path | str) -> None:
     """Write a device to a file, in one atomic step."""
-    codec.write(device, path)
+    write_whole(Path(path), codec.json_text(device, str(path)))
 
 
 def read_device(path: Path | str) -> DeviceModel:
     """Read a device file."""
-    return codec.read(DeviceModel, path)
+    return codec.read_json(DeviceModel, path)
 
 
 def device_json(device: DeviceModel) -> dict[str, Any]:
