@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 import undrift
-from undrift.commands.calibration_file import choose_calibration
-from undrift.commands.files import Opening
+from undrift.commands.files import Opening, Reader
 from undrift.errors import InputError
 from undrift.io.formats import write_record
 
@@ -46,12 +45,12 @@ def recording(folder: Path, serial: str) -> Path:
 
 
 def test_a_file_is_read_without_a_note(shelf, tmp_path):
-    chosen = choose_calibration(shelf / "B2.json", (tmp_path / "never-read.csv",), Opening())
-    assert (chosen.path, chosen.model.device, chosen.notes) == (shelf / "B2.json", "B2", ())
+    chosen = Reader(Opening(), shelf / "B2.json", (tmp_path / "never-read.csv",))
+    assert (chosen.path, chosen.model.device, chosen.notes) == (shelf / "B2.json", "B2", [])
 
 
 def test_folder_gives_the_newest_of_the_serial_number_and_says_which(shelf, tmp_path):
-    chosen = choose_calibration(shelf, (recording(tmp_path, "A17"),), Opening())
+    chosen = Reader(Opening(), shelf, (recording(tmp_path, "A17"),))
     assert chosen.path == shelf / "A17" / "a_new.json"
     assert chosen.model.provenance.created.startswith("2026-03-01")
     (note,) = chosen.notes
@@ -60,18 +59,18 @@ def test_folder_gives_the_newest_of_the_serial_number_and_says_which(shelf, tmp_
 
 def test_no_match_is_refused_and_names_the_devices_of_the_folder(shelf, tmp_path):
     with pytest.raises(InputError, match=r"no calibration of C3 .* A17, B2"):
-        choose_calibration(shelf, (recording(tmp_path, "C3"),), Opening())
+        Reader(Opening(), shelf, (recording(tmp_path, "C3"),))
 
 
 def test_two_newest_of_one_date_are_refused(shelf, tmp_path):
     _write(shelf / "A17" / "again.json", "A17", "2026-03-01T08:00:00+00:00")
     with pytest.raises(InputError, match=r"a_new\.json, A17/again\.json"):
-        choose_calibration(shelf, (recording(tmp_path, "A17"),), Opening())
+        Reader(Opening(), shelf, (recording(tmp_path, "A17"),))
 
 
 def test_recordings_of_two_devices_are_refused(shelf, tmp_path):
     with pytest.raises(InputError, match="several devices"):
-        choose_calibration(shelf, (recording(tmp_path, "A17"), recording(tmp_path, "B2")), Opening())
+        Reader(Opening(), shelf, (recording(tmp_path, "A17"), recording(tmp_path, "B2")))
 
 
 @pytest.mark.parametrize("name", ["walk-.parquet", "foreign.csv"])
@@ -79,10 +78,10 @@ def test_a_recording_without_serial_number_is_refused(shelf, tmp_path, name):
     recording(tmp_path, "")
     (tmp_path / "foreign.csv").write_text("t,gx,gy,gz\n" + "0,1,2,3\n" * 50)
     with pytest.raises(InputError, match="does not state the serial number"):
-        choose_calibration(shelf, (tmp_path / name,), Opening())
+        Reader(Opening(), shelf, (tmp_path / name,))
 
 
 def test_a_damaged_file_is_refused_rather_than_passed_over(shelf, tmp_path):
     (shelf / "A17" / "newest.json").write_text('{"kind": "undrift.cal')
     with pytest.raises(InputError, match=r"newest\.json"):
-        choose_calibration(shelf, (recording(tmp_path, "A17"),), Opening())
+        Reader(Opening(), shelf, (recording(tmp_path, "A17"),))

@@ -7,7 +7,7 @@ import pytest
 import rich.color  # noqa: F401  # an interpreter in a folder of root cannot import more once its rights are gone
 
 from testkit.command_line import contents
-from undrift.commands.files import name_of
+from undrift.commands.outputs import name_of
 
 WRITERS = {  # the call, and the ending of what it writes
     "calibrate": (["calibrate", "{bench}/session"], ".json"),

@@ -15,7 +15,11 @@ NAMED: ContextVar[frozenset[str]] = ContextVar("NAMED", default=frozenset())  # 
 SHOWING: ContextVar[bool] = ContextVar(
     "SHOWING", default=False
 )  # True while text is shown to a person, not written as data
-OPTIONS = {"longest_lag_s": "max_lag_s", "column_map": "map"}  # options whose name differs from the argument
+OPTIONS = {
+    "longest_lag_s": "max_lag_s",
+    "column_map": "map",
+    "labels": "markers",
+}  # options whose name differs from the argument
 _ARGUMENT = re.compile(r"`([a-z]\w*)`")
 
 

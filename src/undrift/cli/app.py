@@ -17,8 +17,6 @@ from undrift import __version__
 from undrift.cli import examples
 from undrift.errors import InputError, RigError, UndriftError
 
-INTERRUPTED, STOPPED = 130, "stopped. No file was left incomplete."
-STOPS = ("SIGINT", "SIGTERM", "SIGHUP")
 ABOUT = "Calibrate a wearable inertial sensor, compensate its drift, and prove what that is worth in degrees."
 COMMANDS = {  # one line of 80 columns each
     "record": "Record a device to a file, or be guided through its calibration.",
@@ -45,14 +43,7 @@ COMMANDS = {  # one line of 80 columns each
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with its code."""
     _stop_on_signals()
-    argv = sys.argv[1:] if arguments is None else arguments
-    try:
-        code = copy_context().run(_dispatch, argv)  # the arguments of this call are visible only in this context
-    except KeyboardInterrupt as error:
-        with suppress(KeyboardInterrupt):  # a second one
-            _ignore_signals()
-        _ignore_signals()  # one more would spoil the message or the exit code
-        code = _refuse(argv, error, STOPPED, code=INTERRUPTED)
+    code = run(sys.argv[1:] if arguments is None else arguments)
     try:
         if not sys.stdout.closed:
             sys.stdout.flush()
@@ -61,34 +52,27 @@ def main(arguments: Sequence[str] | None = None) -> None:
     sys.exit(code)
 
 
-def _ignore_signals() -> None:
-    for name in STOPS:
-        with suppress(AttributeError, ValueError):
-            signal.signal(getattr(signal, name), signal.SIG_IGN)
-
-
 def _stop_on_signals() -> None:
     """Handle SIGTERM and SIGHUP like Ctrl-C, with all clean-up. Ignored signals stay ignored (nohup)."""
+    numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
     def stop(number: int, _: object) -> None:
-        signal.signal(number, signal.SIG_IGN)  # one is enough
+        for other in numbers:  # one is enough: more would spoil the clean-up, the message or the exit code
+            signal.signal(other, signal.SIG_IGN)
         raise KeyboardInterrupt(f"stopped by {signal.Signals(number).name}")
 
-    for name in STOPS[1:]:
-        with suppress(AttributeError, ValueError):  # a system without this signal, or not the main thread
-            if signal.getsignal(getattr(signal, name)) == signal.SIG_DFL:
-                signal.signal(getattr(signal, name), stop)
+    with suppress(ValueError):  # not the main thread
+        for number in numbers:
+            if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
+                signal.signal(number, stop)
 
 
 def run(arguments: Sequence[str]) -> int:
     """Run the command line and return its exit code: 0, 1, 2 or 3, or 130 if it was interrupted."""
-    try:
-        return copy_context().run(_dispatch, arguments)
-    except KeyboardInterrupt as error:
-        return _refuse(arguments, error, STOPPED, code=INTERRUPTED)
+    return copy_context().run(_run, arguments)  # the arguments of this call are visible only in this context
 
 
-def _dispatch(arguments: Sequence[str]) -> int:
+def _run(arguments: Sequence[str]) -> int:
     try:
         if list(arguments) in ([], ["--help"], ["-h"]):
             sys.stdout.write(_help())
@@ -104,6 +88,9 @@ def _dispatch(arguments: Sequence[str]) -> int:
 
         code = call(arguments)
         sys.stdout.flush()  # a full disk is told here, not when Python ends
+        return code
+    except KeyboardInterrupt as error:
+        return _refuse(arguments, error, "stopped. No file was left incomplete.", code=130)
     except UndriftError as error:
         return _refuse(arguments, error, str(error), code=3 if isinstance(error, RigError) else 2)
     except BrokenPipeError:  # the reader of stdout, such as head, has seen enough
@@ -121,7 +108,6 @@ def _dispatch(arguments: Sequence[str]) -> int:
             raise
         text = f"internal error: {type(error).__name__}: {error}. Please report it with the command"
         return _refuse(arguments, error, f"{text} (UNDRIFT_TRACEBACK=1 shows where)", code=2)
-    return code
 
 
 def _check_names(arguments: Sequence[str]) -> None:
@@ -133,24 +119,19 @@ def _check_names(arguments: Sequence[str]) -> None:
 
 
 def _refuse(arguments: Sequence[str], error: BaseException, text: str, *, code: int) -> int:
-    """Print an error to stderr. With --json, also print an object with the error to stdout."""
+    """Write an error to stderr in one line, and with --json also as an object to stdout. Return the exit code."""
+    from undrift.base.spoken import spoken
+
+    text = spoken(" ".join(text.split()))
     if "--json" in arguments:
-        from undrift.base.spoken import spoken
         from undrift.cli.call import write_json
 
         names = [word for word in arguments[:2] if word.isidentifier()]
         command = "_".join(names if names[:1] == ["rig"] else names[:1])
-        told = {"kind": type(error).__name__, "text": spoken(" ".join(text.split()))}
+        told = {"kind": type(error).__name__, "text": text}
         with suppress(OSError):  # the output is closed, or its disk is full
             write_json({"kind": f"undrift.{command}", "version": __version__, "error": told})
-    return complain(text, code=code)
-
-
-def complain(message: str, *, code: int) -> int:
-    """Write one line to stderr (problem, value and remedy) and return the exit code."""
-    from undrift.base.spoken import spoken
-
-    sys.stderr.write("undrift: " + spoken(" ".join(message.split())) + "\n")
+    sys.stderr.write(f"undrift: {text}\n")
     return code
 
 

@@ -19,7 +19,7 @@ from undrift.base.spoken import NAMED
 from undrift.cli import examples
 from undrift.cli.app import ABOUT, COMMANDS
 from undrift.cli.screen import Terminal
-from undrift.commands.files import check_output, files_in, origin_of
+from undrift.commands.outputs import check_output, files_in, origin_of
 from undrift.errors import InputError
 from undrift.report.report import Report, as_json, plain
 from undrift.report.terminal import say, show

@@ -10,10 +10,11 @@ import csv
 import hashlib
 import inspect
 import io
+import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass
 from functools import partial, wraps
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
@@ -22,7 +23,8 @@ from cyclopts import Parameter
 
 from undrift import __version__
 from undrift.base.workers import executor
-from undrift.commands.files import check_folder, files_in, is_recording, name_of, origin_of
+from undrift.commands.files import is_recording
+from undrift.commands.outputs import check_folder, files_in, name_of, origin_of
 from undrift.errors import InputError, UndriftError
 from undrift.files import write_whole
 from undrift.findings import Finding, Level, finding
@@ -155,9 +157,9 @@ def _targets(files: dict[str, Path], output: Path | None, ending: str) -> dict[s
 def _rows(command: Command, jobs: Sequence[Job], options: dict[str, Any], scheduler: str | None) -> Iterator[Row]:
     """Yield the row of each job, made here or by the workers of a Dask scheduler."""
     if scheduler is not None:
-        make = partial(_row, command=command, options=_absolute(options))
+        make = partial(_row, command=command, options=options, folder=Path.cwd())
         with executor(None, scheduler) as spread:
-            yield from spread(make, list(map(_absolute, jobs)))
+            yield from spread(make, jobs)
         return
     for k, job in enumerate(jobs):
         with part(k / len(jobs), (k + 1) / len(jobs)):
@@ -165,8 +167,10 @@ def _rows(command: Command, jobs: Sequence[Job], options: dict[str, Any], schedu
             yield _row(job, command=command, options=options)
 
 
-def _row(job: Job, *, command: Command, options: dict[str, Any]) -> Row:
+def _row(job: Job, *, command: Command, options: dict[str, Any], folder: Path | None = None) -> Row:
     """Return the verdict and the answer of a command for one recording, or its error."""
+    if folder is not None:
+        os.chdir(folder)  # paths of the call are relative to its folder, also for a worker elsewhere
     row = dict.fromkeys(COLUMNS, "") | {"recording": job.name, "inputs": job.inputs}
     try:
         if job.target is not None:
@@ -179,15 +183,6 @@ def _row(job: Job, *, command: Command, options: dict[str, Any]) -> Row:
     worst = next((item.text for item in report.ordered_findings if item.level != "info"), "")
     output = "" if job.target is None else str(job.target)
     return row | {"verdict": report.status, "result": report.answer, "worst_finding": worst, "output": output}
-
-
-def _absolute(value: Any) -> Any:
-    """Return paths that workers in other folders find, also those in settings."""
-    if isinstance(value, dict):
-        return {name: _absolute(item) for name, item in value.items()}
-    if is_dataclass(value) and not isinstance(value, type):
-        return replace(value, **{item.name: _absolute(getattr(value, item.name)) for item in fields(value)})
-    return value.resolve() if isinstance(value, Path) else value
 
 
 def _report(title: str, rows: list[Row], before: int, others: list[str], output: Path | None) -> Report:

@@ -13,7 +13,8 @@ from undrift.calibration.calibrate import find_pieces, from_motion
 from undrift.calibration.in_motion import InMotion
 from undrift.calibration.pieces import Piece, pieces_of
 from undrift.calibration.settings import AccelFit, CalibrateSettings, GyroFit
-from undrift.commands.files import Opening, Place, check_output, recording_of, session_of
+from undrift.commands.files import Opening, Place, recording_of, session_of
+from undrift.commands.outputs import check_output
 from undrift.errors import InputError
 from undrift.io.store import write_calibration
 from undrift.model import Calibration
@@ -23,7 +24,6 @@ from undrift.report import Report, Table
 from undrift.report.calibration import NAMES, calibration_report
 from undrift.report.figures import draw_recording
 from undrift.screen import progress, reading
-from undrift.sim.device.presets import sensitivity_of
 from undrift.units import RADIAN_PER_DEGREE
 
 NOTABLE_DRIFT = 1e-3  # of the clocks: a scale factor is wrong by as much if the clock of the table is the wrong one
@@ -86,6 +86,8 @@ def calibrate(
     with reading(0.5, *files):
         session = session_of(files, place, opening)
     if kind is not None:
+        from undrift.sim.device.presets import sensitivity_of  # not for help, which answers at once
+
         session = replace(session, sensitivity=sensitivity_of(kind))
     progress("fitting", 0.5)
     tables, details, pieces = list[Table](), list[Table](), tuple[Piece, ...]()

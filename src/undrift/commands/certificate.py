@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from undrift.base.options import Output, options
-from undrift.commands.files import check_output
+from undrift.commands.outputs import check_output
 from undrift.errors import InputError
 from undrift.files import checked_file
 from undrift.io.store import read_calibration

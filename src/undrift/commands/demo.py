@@ -6,6 +6,7 @@ never use the true parameters. Only the checks at the end use them.
 
 import json
 import shutil
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -13,20 +14,18 @@ import numpy as np
 
 from undrift.base.options import WRITTEN, Flag
 from undrift.calibration.calibrate import calibrate
-from undrift.commands.files import check_folder, origin_of, save_json
+from undrift.commands.outputs import check_folder, origin_of, write_results
 from undrift.correction.correct import correct_checked
 from undrift.drift.fit import DriftFit, fit_drift
 from undrift.errors import InputError
-from undrift.findings import Finding, finding
-from undrift.io.formats import read_record, read_reference, write_record
+from undrift.findings import finding
+from undrift.io.formats import write_record
 from undrift.io.reference import write_reference
 from undrift.io.session import read_session
-from undrift.io.store import calibration_json, read_calibration, write_calibration
+from undrift.io.store import calibration_json, write_calibration
 from undrift.programme import Protocol
 from undrift.report import Report, Table
 from undrift.report.figures import draw_levels
-from undrift.report.page import write_report
-from undrift.report.report import as_json
 from undrift.report.study import NOTE, SLOPE_OF_THE_NOTE
 from undrift.rig.run import RunResult
 from undrift.screen import part, progress
@@ -48,7 +47,7 @@ from undrift.validation.trial import Trial
 
 SEED = 2007
 RUNS = ("bench", "thermal")  # folders of an earlier demo
-FILES = ("calibration.json", "trial.parquet", "reference.parquet", "corrected.parquet", "report.html")
+FILES = ("trial.parquet", "reference.parquet", "calibration.json", "corrected.parquet", "report.html")
 RECORDED, FITTED = 0.75, 0.9  # shares of the time when all is recorded, and when all is fitted
 BENCH = (
     "Device: three ENC-03J-like gyroscopes and three 3031-like accelerometers, 12 bits, an LM335-like thermometer: the "
@@ -86,16 +85,18 @@ def demo(*, out: Annotated[Path, WRITTEN] = Path("demo"), quick: Flag = False) -
     fit, trials = _judge_trials(device, out)
     progress("report", FITTED)
     report = _report(out, _bench(protocols, runs), fit, trials, compare_with_truth(fit, trials, device))
-    origin = origin_of(out / "trial.parquet", out / "reference.parquet", out / "calibration.json")
-    write_report(out / "report.html", report, origin)
-    save_json(out / "summary.json", as_json(report, "demo"))
+    write_results(out, report, "demo", origin_of(*(out / name for name in FILES[:3])))
     return report
 
 
 def _check_fresh(out: Path) -> None:
-    """Refuse a folder with other files, and delete the runs of an earlier demo."""
+    """Refuse a folder with other files, and delete the runs of an earlier demo, also of an interrupted one."""
     check_folder(out)
-    if out.is_dir() and any(out.iterdir()) and not _is_demo(out):
+    names = {path.name for path in out.iterdir()} if out.is_dir() else set()
+    with suppress(OSError, ValueError, AttributeError):
+        is_demo = json.loads((out / "summary.json").read_text()).get("kind") == "undrift.demo"
+        names = set() if is_demo else names
+    if names and not (names <= {*RUNS, *FILES} and (out / "bench" / "protocol.toml").is_file()):
         raise InputError(
             f"{out}: expected a new folder or the folder of an earlier demo, got other files. Choose another folder."
         )
@@ -105,41 +106,40 @@ def _check_fresh(out: Path) -> None:
             shutil.rmtree(out / name)
 
 
-def _is_demo(out: Path) -> bool:
-    """Return whether a demo wrote here, or began to."""
-    try:
-        summary = json.loads((out / "summary.json").read_text())
-        return isinstance(summary, dict) and summary.get("kind") == "undrift.demo"
-    except (OSError, ValueError):
-        return {path.name for path in out.iterdir()} <= {*RUNS, *FILES} and (out / "bench" / "protocol.toml").is_file()
-
-
 def _judge_trials(device: DeviceModel, out: Path) -> tuple[DriftFit, tuple[Trial, ...]]:
     """Fit calibration and tables, and judge a worn trial at each level of correction."""
     bench, thermal = read_session(out / "bench"), read_session(out / "thermal")
     fit = fit_drift((bench, thermal), calibrate(bench))
     write_calibration(fit.calibration, out / "calibration.json")
-    trial = worn_trial(device, seed=SEED)
-    write_record(trial[0], out / "trial.parquet")
-    write_reference(trial[1], out / "reference.parquet")
-    record = read_record(out / "trial.parquet")  # judge the data that are on the disk
-    corrected = correct_checked(record, read_calibration(out / "calibration.json"))
-    write_record(corrected.record, out / "corrected.parquet")
-    return fit, judge_compared(fit.calibration, record, read_reference(out / "reference.parquet"))
+    record, reference = worn_trial(device, seed=SEED)
+    write_record(record, out / "trial.parquet")
+    write_reference(reference, out / "reference.parquet")
+    write_record(correct_checked(record, fit.calibration).record, out / "corrected.parquet")
+    return fit, judge_compared(fit.calibration, record, reference)
 
 
 def _report(out: Path, bench: Table, fit: DriftFit, trials: tuple[Trial, ...], checks: tuple[Check, ...]) -> Report:
     none, _, full, rest, both = (f"{trial.figures.max_abs_pitch_deg:.2f} deg" for trial in trials)
+    truth = Table(
+        title="Compared with the hidden truth",
+        columns=("figure", "value", "at most", "passed"),
+        rows=[(check.name, check.value, check.limit, check.passed) for check in checks],
+        form=".2g",
+        note="The device is drawn at random from a seed. Only these checks use its true parameters.",
+    )
+    findings = [*fit.verdict.findings, *trials[-1].findings]  # of the recommended level
+    if failed := [check.name for check in checks if not check.passed]:
+        sentence = f"{len(failed)} of {len(checks)} checks against the hidden truth fail: {', '.join(failed)}."
+        findings.append(finding("demo.check", "fail", sentence, "Please report this.", failed=len(failed)))
     return Report(
         title="undrift demo: the note's method on a simulated bench",
         answer=f"Largest pitch error over the {trials[0].figures.motion_s:.1f} s of a sit-to-stand: {none} with a constant "
         f"calibration, {rest} with the offset of a rest before the motion, {full} with tables over temperature, {both} "
         "with both.",
-        tables=[_levels(trials), _truth(checks)],
+        tables=[_levels(trials), truth],
         details=[bench],
         notes=[NOTE],
-        # of the recommended level: tables remove the remaining errors of constants
-        findings=[*fit.verdict.findings, *trials[-1].findings, *_failed(checks)],
+        findings=findings,
         judged=True,
         figures=[lambda: draw_levels(trials)],
         written=[out / "report.html", out / "calibration.json", out / "corrected.parquet"],
@@ -170,24 +170,6 @@ def _levels(trials: tuple[Trial, ...]) -> Table:
         form=".2f",
         note=note,
     )
-
-
-def _truth(checks: tuple[Check, ...]) -> Table:
-    return Table(
-        title="Compared with the hidden truth",
-        columns=("figure", "value", "at most", "passed"),
-        rows=[(check.name, check.value, check.limit, check.passed) for check in checks],
-        form=".2g",
-        note="The device is drawn at random from a seed. Only these checks use its true parameters.",
-    )
-
-
-def _failed(checks: tuple[Check, ...]) -> tuple[Finding, ...]:
-    names = [check.name for check in checks if not check.passed]
-    if not names:
-        return ()
-    sentence = f"{len(names)} of {len(checks)} checks against the hidden truth fail: {', '.join(names)}."
-    return (finding("demo.check", "fail", sentence, "Please report this.", failed=len(names)),)
 
 
 def _bench(protocols: tuple[Protocol, ...], runs: tuple[RunResult, ...]) -> Table:

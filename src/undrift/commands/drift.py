@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Literal
 
 from undrift.base.options import Files, Flag, OptionalOutput
-from undrift.commands.calibration_file import choose_calibration
-from undrift.commands.files import Opening, check_output, recording_of, thermal_session
+from undrift.commands.files import Opening, Reader, recording_of, thermal_session
+from undrift.commands.outputs import check_output
 from undrift.drift.fit import DriftFit, DriftSettings, fit_drift
 from undrift.drift.offset import StaticSettings
 from undrift.drift.verdict import without_tables
@@ -60,20 +60,20 @@ def drift(
     )
     reads = (*(path for path in sessions if path.exists()), opening.column_map)
     check_output(output, endings=(".json",), reads=reads)  # may be the calibration that was read: it is written whole
-    chosen = choose_calibration(calibration, sessions, opening)
-    read = list[Session]()
+    reader, read = Reader(opening, calibration, sessions), list[Session]()
     for k, path in enumerate(sessions):
         with part(0.4 * k / len(sessions), 0.4 * (k + 1) / len(sessions)), reading(1.0, path):
-            read.append(thermal_session(path, opening.like(chosen.model, chosen.path), chosen.model))
+            read.append(thermal_session(path, reader))
     with part(0.4, 1.0):
-        fit = fit_drift(read, chosen.model, settings=settings, progress=progress)
+        fit = fit_drift(read, reader.model, settings=settings, progress=progress)
+    notes = [*reader.notes, *_notes(fit, reader.model, reader.path)]
     report = drift_report(fit)
     if output is None:
-        return replace(report, notes=[*chosen.notes, *_notes(fit, chosen.model, chosen.path), NOT_WRITTEN])
+        return replace(report, notes=[*notes, NOT_WRITTEN])
     write_calibration(fit.calibration, output)
     return replace(
         report,
-        notes=[*chosen.notes, *_notes(fit, chosen.model, chosen.path)],
+        notes=notes,
         written=[output],
         next_command=_next_command(recording_of(sessions), read[0], fit, output),
     )

@@ -7,7 +7,8 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from undrift.base.options import Output
-from undrift.commands.files import calibration_findings, check_output
+from undrift.commands.files import calibration_findings
+from undrift.commands.outputs import check_output
 from undrift.export import ExportOptions
 from undrift.files import new_folder, write_together
 from undrift.io.store import read_calibration

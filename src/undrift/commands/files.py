@@ -1,55 +1,48 @@
-"""Inputs and outputs of commands: recordings with their map or a stored map, sessions, references, and files to write.
+"""Inputs of commands: recordings with their map and calibration, sessions and references.
 
-Settings for reading are dataclasses marked ``@options``. Each field is an option of the command line.
+Settings for reading are dataclasses marked ``@options``. Each field is an option of the command line. A ``Reader`` reads
+the recordings of a command and collects the notes on them.
 """
 
 import json
-import shlex
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, fields, is_dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 from cyclopts import Parameter
 
 from undrift.base import codec
-from undrift.base.options import WRITTEN, Policy, Up, options
-from undrift.base.spoken import CALLED, option_of
+from undrift.base.options import Up, options
+from undrift.base.spoken import option_of
 from undrift.correction.correct import correct_checked
 from undrift.errors import Implausible, InputError
-from undrift.files import sha256_of, write_whole
+from undrift.files import checked_file, sha256_of
 from undrift.findings import Finding, Level, finding
-from undrift.io.column_map import ColumnMap, file_map_of, map_of, one_map, read_map
+from undrift.io.column_map import ColumnMap, file_map_of, map_of, native_map, one_map, read_map
 from undrift.io.formats import (
     detect,
     format_of,
     holds_poses,
+    is_streamed,
     iter_record,
-    read_markers,
-    read_record,
+    read_counted,
     read_reference,
 )
 from undrift.io.inspect import needs_map
-from undrift.io.mocap import pose_from_cluster
-from undrift.io.reference import ReferenceMap, read_reference_map
+from undrift.io.parquet import parquet_names
+from undrift.io.reference import read_reference_map
 from undrift.io.session import NAME, SessionFile, gravity_of, read_session, session_from_files
+from undrift.io.store import KIND, read_calibration
 from undrift.model import BodyMounting, Calibration
 from undrift.record import FileMap, GravitySource, Kind, Record, Reference, Session, Still
-from undrift.report.page import Origin
-from undrift.report.report import plain
-from undrift.sim.device.model import DeviceModel, read_device
-from undrift.sim.device.presets import PRESETS, preset, random_device
 from undrift.units import STANDARD_GRAVITY, is_physical
 
+NO_DATE = datetime.min.replace(tzinfo=UTC)
 
-@dataclass(frozen=True)
-class Kept:
-    """The map that a calibration keeps of its device."""
-
-    path: Path  # of the calibration
-    file_map: FileMap
+# ---- options
 
 
 @options
@@ -72,76 +65,27 @@ class Opening:
     column_map: Annotated[Path | None, Parameter(name="--map")] = None
     sample_rate_hz: float | None = None
     sensor: str | None = None
-    kept: Annotated[Kept | None, Parameter(parse=False)] = None
 
-    def like(self, model: Calibration | None, path: Path | None) -> "Opening":
-        """Return how to read the recordings of a calibrated device: by the map that its calibration keeps."""
-        if model is None or path is None or model.file_map is None:
-            return self
-        return replace(self, kept=Kept(path, model.file_map))
+    @property
+    def keys(self) -> dict[str, Any]:
+        """Return the keys of a map that were given as options."""
+        keys = {"sample_rate_hz": self.sample_rate_hz, "sensor": self.sensor}
+        return {key: value for key, value in keys.items() if value is not None}
 
     def file_map(self) -> FileMap | None:
         """Return the named map with the options over it, or None without any."""
         if self.column_map is not None:
-            return file_map_of(read_map(self.column_map, **self._keys))
-        return file_map_of(ColumnMap(**self._keys)) if self._keys else None
+            return file_map_of(read_map(self.column_map, **self.keys))
+        return file_map_of(ColumnMap(**self.keys)) if self.keys else None
 
-    def words(self) -> list[object]:
-        """Return the options as they were given."""
-        values = {"map": self.column_map, **self._keys}
-        return [
-            word
-            for name, value in values.items()
-            if value is not None
-            for word in (f"--{name.replace('_', '-')}", value)
-        ]
-
-    @property
-    def _keys(self) -> dict[str, Any]:
-        keys = {"sample_rate_hz": self.sample_rate_hz, "sensor": self.sensor}
-        return {key: value for key, value in keys.items() if value is not None}
-
-    def how(self, path: Path) -> ColumnMap:
-        """Return how to read a file: by the map that was named, else as it is, else by the map that the calibration keeps."""
+    def how(self, path: Path, stored: FileMap | None = None) -> ColumnMap:
+        """Return how to read a file: by the named map, else as it is, else by the map that a calibration stores."""
         if self.column_map is not None:
-            return one_map(read_map(self.column_map, **self._keys))
-        kept = map_of(None if self.kept is None else self.kept.file_map)
-        kept = map_of(None) if kept.columns is not None and not needs_map(path) else kept
-        return one_map(kept.but(**self._keys))
-
-    def record(self, path: Path) -> Record:
-        """Read one file, or folder of a device."""
-        with self._naming_map(path):
-            return read_record(path, self.how(path))
-
-    def chunks(self, path: Path) -> Iterator[Record]:
-        """Read one file in chunks."""
-        with self._naming_map(path):
-            yield from iter_record(path, self.how(path))
-
-    def read(self, path: Path) -> Record:
-        """Read a recording. For a session folder, read its only recording."""
-        if detect(path) != "session":
-            return self.record(path)
-        records = read_session(path).records
-        if len(records) > 1:
-            raise InputError(f"{path}: expected one recording, got a session of {len(records)}. Name one of its files.")
-        return records[0]
-
-    @contextmanager
-    def _naming_map(self, path: Path) -> Iterator[None]:
-        """Name file and calibration in the error of a file that does not fit the map of the calibration."""
-        try:
-            yield
-        except InputError as error:
-            if self.kept is None or self.column_map is not None:
-                raise
-            text = str(error).removeprefix(f"{path}: ")
-            raise InputError(
-                f"{path}: the file does not match the map stored in {self.kept.path} for its device: {text}. Name "
-                "another map with `column_map`.",
-                **error.numbers,
-            ) from error
+            return one_map(read_map(self.column_map, **self.keys))
+        stored_map = map_of(stored)
+        if stored_map.columns is not None and not needs_map(path):
+            stored_map = map_of(None)
+        return one_map(stored_map.but(**self.keys))
 
 
 @options
@@ -158,16 +102,21 @@ class NamedRest:
     rest_s: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
 
     @property
-    def stop_s(self) -> float | None:
-        """End of the named stretch, s, or None without a name."""
-        return None if self.rest_s is None else ends_of("`rest_s`", self.rest_s, "s")[1]
+    def ends_s(self) -> tuple[float, float] | None:
+        """Start and stop of the named stretch, s, or None without a name."""
+        if self.rest_s is None:
+            return None
+        start, _, stop = self.rest_s.partition(":")
+        with suppress(ValueError):
+            if float(start) < float(stop):
+                return float(start), float(stop)
+        raise InputError(f"`rest_s`: expected START:STOP in s, got '{self.rest_s}'. Write, for example, 15:35.")
 
     def still_in(self, record: Record) -> Still | None:
         """Return the named stretch of a recording, or None if none was named."""
-        if self.rest_s is None:
+        if self.ends_s is None:
             return None
-        start_s, stop_s = ends_of("`rest_s`", self.rest_s, "s")
-        first, last = float(record.time[0]), float(record.time[-1])
+        (start_s, stop_s), first, last = self.ends_s, float(record.time[0]), float(record.time[-1])
         if not first <= start_s < stop_s <= last:
             raise InputError(
                 f"`rest_s`: expected START:STOP within the recording's {first:.6g} to {last:.6g} s, got {start_s:g} and "
@@ -175,24 +124,6 @@ class NamedRest:
             )
         start, stop = record.time.searchsorted((start_s, stop_s))
         return Still(start=int(start), stop=max(int(stop), int(start) + 1))
-
-
-@options
-@dataclass(frozen=True, kw_only=True)
-class TableUse:
-    """Use of the tables of a calibration.
-
-    Parameters
-    ----------
-    power_on_s : float or None
-        Time since power-on at the first sample of each recording, s. Without it, no warm-up is subtracted.
-    policy : str
-        Temperatures outside a tuning table: refuse (raise), hold the table's end, or leave a gap (nan). Without a
-        recorded temperature the result is always a gap, and a warning reports its duration.
-    """
-
-    power_on_s: float | None = None
-    policy: Policy = "raise"
 
 
 @options
@@ -224,6 +155,197 @@ class Place:
         return gravity_of(self.gravity_m_s2, self.latitude_deg, self.height_m)
 
 
+# ---- readings and their calibration
+
+
+class Reader:
+    """Reads the recordings of a command by its options, and by the map and the constants of their calibration.
+
+    The calibration is a file, or the newest one in a folder with the serial number of the recordings.
+    """
+
+    def __init__(self, opening: Opening, calibration: Path | None = None, recordings: Sequence[Path] = ()) -> None:
+        self.opening, self.path, self.notes = opening, calibration, list[str]()
+        if calibration is not None and calibration.is_dir():
+            self.path, note = _newest(calibration, {_serial_of(path, opening) for path in recordings})
+            self.notes.append(note)
+        self.model = None if self.path is None else read_calibration(self.path)
+        self.findings = calibration_findings(self.model)  # what speaks against calibration and readings
+
+    def read(self, path: Path) -> Record:
+        """Read a recording. For a session folder, read its only recording."""
+        if detect(path) != "session":
+            with self._naming_map(path):
+                result = read_counted(path, self.how(path))
+            self.notes += [item.text for item in result.remarks]
+            return result.record
+        session = read_session(path)
+        if len(session.records) > 1:
+            raise InputError(
+                f"{path}: expected one recording, got a session of {len(session.records)}. Name one of its files."
+            )
+        self.notes += session.notes
+        return session.records[0]
+
+    def chunks(self, path: Path) -> Iterator[Record]:
+        """Read a recording in chunks if it is a Parquet file, for constant memory. Read others whole."""
+        with self._naming_map(path):
+            how = None if detect(path) == "session" else self.how(path)
+            if how is None or not is_streamed(path, how):
+                yield self.read(path)
+                return
+            if not how.columns:
+                names = parquet_names(path)
+                self.notes += native_map(names, how, source=str(path)).unread(names)
+            yield from iter_record(path, how)
+
+    def corrected(self, record: Record, path: Path) -> Record:
+        """Return the readings corrected by the calibration. Without one, refuse counts and volts."""
+        if self.model is None:
+            check_physical(record, path)
+            return record
+        with named_columns(path):
+            corrected = correct_checked(self.calibrated_part(record), self.model)
+        self.notes += corrected.notes
+        self.findings += [item for item in corrected.findings if item.level == "warn"]
+        return corrected.record
+
+    def calibrated_part(self, record: Record) -> Record:
+        """Leave out, with a note, the triad that stays in counts or volts because the calibration has no model of it."""
+        model = self.model
+        if model is None or record.gyro is None or record.accel is None or (model.gyro is None and model.accel is None):
+            return record
+        for name, words, si in (("accel", "accelerometers", "m/s2"), ("gyro", "gyroscopes", "rad/s")):
+            unit, removed = getattr(record, f"{name}_unit"), {name: None, f"{name}_unit": si}
+            if getattr(model, name) is None and not is_physical(unit):
+                self.notes.append(
+                    f"The {words} are left out of the result: they are in {unit}, and the calibration has no model of them."
+                )
+                return replace(record, **removed)  # type: ignore[arg-type]
+        return record
+
+    @property
+    def calibration(self) -> tuple[Calibration, Path]:
+        """Return the calibration and its file, for a command that needs one."""
+        if self.model is None or self.path is None:
+            raise InputError("expected a calibration, got none. Name it with `calibration`.")
+        return self.model, self.path
+
+    def mounting(self, forward: str | None, up: str | None) -> BodyMounting | None:
+        """Return the mounting in the calibration, or None if the sides of the device are given instead."""
+        return None if self.model is None or forward or up else self.model.mounting
+
+    def how(self, path: Path) -> ColumnMap:
+        """Return how to read a file."""
+        return self.opening.how(path, None if self.model is None else self.model.file_map)
+
+    @contextmanager
+    def _naming_map(self, path: Path) -> Iterator[None]:
+        """Name file and calibration in the error of a file that does not fit the map of the calibration."""
+        try:
+            yield
+        except InputError as error:
+            if self.model is None or self.model.file_map is None or self.opening.column_map is not None:
+                raise
+            text = str(error).removeprefix(f"{path}: ")
+            raise InputError(
+                f"{path}: the file does not match the map stored in {self.path} for its device: {text}. Name another map "
+                "with `column_map`.",
+                **error.numbers,
+            ) from error
+
+
+def _newest(folder: Path, serials: set[str]) -> tuple[Path, str]:
+    """Return the newest calibration of a device in a folder and its subfolders, and a note that names it."""
+    if len(serials) > 1:
+        raise InputError(
+            f"{folder}: the recordings are of several devices ({', '.join(sorted(serials))}), and one calibration is "
+            "applied to all of them. Run the command once for each device."
+        )
+    (serial,) = serials
+    models = {path: read_calibration(path) for path in sorted(folder.rglob("*.json")) if _is_calibration(path)}
+    dates = {path: _created(model) for path, model in models.items() if model.device == serial}
+    if not dates:
+        others = ", ".join(sorted({model.device or "without serial number" for model in models.values()}))
+        raise InputError(
+            f"{folder}: no calibration of {serial} in this folder. It contains {others or 'no calibration'}. Name the file."
+        )
+    newest = [path for path, date in dates.items() if date == max(dates.values())]
+    if len(newest) > 1:
+        names = ", ".join(str(path.relative_to(folder)) for path in newest)
+        raise InputError(
+            f"{folder}: several newest calibrations of {serial} have the same date: {names}. Name one of these files."
+        )
+    date = dates[newest[0]]
+    origin = "without a date" if date == NO_DATE else f"of {date:%Y-%m-%d}"
+    return newest[0], f"The calibration is {newest[0]} {origin}, the newest of {len(dates)} of {serial}."
+
+
+def _is_calibration(path: Path) -> bool:
+    try:
+        content = json.loads(path.read_bytes())
+    except ValueError as error:
+        raise InputError(
+            f"{path}: this file is not JSON, so its age cannot be checked. Repair or remove it."
+        ) from error
+    return isinstance(content, dict) and content.get("kind") == KIND
+
+
+def _created(model: Calibration) -> datetime:
+    try:
+        date = datetime.fromisoformat(model.provenance.created)
+    except ValueError:
+        return NO_DATE
+    return date if date.tzinfo else date.replace(tzinfo=UTC)
+
+
+def _serial_of(recording: Path, opening: Opening) -> str:
+    """Return the serial number of a recording or session. Raise an error if it has none."""
+    if not recording.is_dir():
+        checked_file(recording)
+    if detect(recording) == "session":
+        serial = read_session(recording).serial
+    elif opening.column_map is None and needs_map(recording):
+        serial = ""  # a table of other columns: only a map could name its device
+    else:
+        serial = next(Reader(opening).chunks(recording)).device
+    if not serial:
+        raise InputError(
+            f"{recording}: the recording does not state the serial number of its device, so no calibration can be selected from a "
+            "folder. Name the file with `calibration`."
+        )
+    return serial
+
+
+def calibration_findings(model: Calibration | None) -> list[Finding]:
+    """Return one finding in place of those of a calibration whose verdict is not good."""
+    if model is None or model.verdict.status == "good":
+        return []
+    level: Level = "fail" if model.verdict.status == "bad" else "warn"
+    sentence = f"The verdict of the calibration is {model.verdict.status}."
+    return [finding("calibration.verdict", level, sentence, "Read its findings with undrift info.")]
+
+
+def check_physical(record: Record, path: Path) -> None:
+    """Refuse counts and volts of a recording that no calibration gives a physical unit."""
+    for name, values, unit in (("gyro", record.gyro, record.gyro_unit), ("accel", record.accel, record.accel_unit)):
+        if values is not None and not is_physical(unit):
+            raise InputError(
+                f"{path}: expected physical units or a calibration of the device, got {name} in {unit}. Add "
+                "`calibration` calibration.json."
+            )
+
+
+@contextmanager
+def named_columns(path: Path) -> Iterator[None]:
+    """Add the file and the remedial option to errors about columns, units or sample rate."""
+    try:
+        yield
+    except Implausible as error:
+        rate, message = error.numbers.get("sample_rate_hz"), f"{path}: {str(error).removeprefix(f'{path}: ')}"
+        raise Implausible(message + (f": `sample_rate_hz` {rate:.4g}" if rate else ""), **error.numbers) from error
+
+
 # ---- sessions
 
 
@@ -246,8 +368,7 @@ def session_of(files: tuple[Path, ...], place: Place, opening: Opening, *, kind:
             "session, or list the recordings in its session.toml."
         )
     session = read_session(named[0])
-    fixed = {name: getattr(opening, name) for name in ("column_map", "sample_rate_hz", "sensor")}
-    fixed |= {"serial": place.serial or None}
+    fixed = asdict(opening) | {"serial": place.serial or None}
     if session.gravity_source != "standard":
         fixed |= {"gravity_m_s2": place.gravity_m_s2, "height_m": place.height_m}
     used = [option_of(name) for name, value in fixed.items() if value is not None]
@@ -266,16 +387,18 @@ def states_gravity(path: Path) -> bool:
     return read_session(path).gravity_source != "standard"
 
 
-def thermal_session(path: Path, opening: Opening, model: Calibration | None) -> Session:
+def thermal_session(path: Path, reader: Reader) -> Session:
     """Read a session. A single recording becomes a session."""
     if detect(path) == "session":
-        return read_session(path)
-    record, file_map = opening.record(path), opening.file_map()
+        session = read_session(path)
+        reader.notes += session.notes
+        return session
+    record, file_map = reader.read(path), reader.opening.file_map()
     return Session(
         kind="thermal",
         records=(record,),
         serial=record.device,
-        gravity_m_s2=STANDARD_GRAVITY if model is None else model.gravity_m_s2,
+        gravity_m_s2=STANDARD_GRAVITY if reader.model is None else reader.model.gravity_m_s2,
         inputs=((path.name, sha256_of(path)),) if path.is_file() else (),
         file_map=file_map and file_map_of(map_of(file_map), without=("leave_out",)),  # stretches of this recording
     )
@@ -293,89 +416,24 @@ def recording_of(files: tuple[Path, ...]) -> Path | None:
     folder = session_folder(files[0])
     if folder is None:
         return files[0]
-    names = _names_in(folder)[0]
+    names = names_in(folder)[0]
     return folder / names[0] if len(names) == 1 else None
 
 
-def recordings_of(
-    files: tuple[Path, ...], opening: Opening, place: Place = Place()
-) -> tuple[tuple[Path, ...], Session | None]:
+def recordings_of(files: tuple[Path, ...], opening: Opening) -> tuple[tuple[Path, ...], Session | None]:
     """Return the named recordings, or the recordings of the named session and the session."""
     folder = session_folder(files[0])
     if folder is None:
         return files, None
-    return tuple(folder / names[0] for names in _names_in(folder)), session_of(files, place, opening)
+    return tuple(folder / names[0] for names in names_in(folder)), session_of(files, Place(), opening)
 
 
-def _names_in(folder: Path) -> list[list[str]]:
+def names_in(folder: Path) -> list[list[str]]:
     """Return the names of the files of each recording of a session."""
     return [entry.files for entry in codec.read_toml(SessionFile, folder / NAME)[0].recording]
 
 
-# ---- readings and their calibration
-
-
-def check_physical(record: Record, path: Path) -> None:
-    """Refuse counts and volts of a recording that no calibration gives a physical unit."""
-    for name, values, unit in (("gyro", record.gyro, record.gyro_unit), ("accel", record.accel, record.accel_unit)):
-        if values is not None and not is_physical(unit):
-            raise InputError(
-                f"{path}: expected physical units or a calibration of the device, got {name} in {unit}. Add "
-                "`calibration` calibration.json."
-            )
-
-
-def corrected(
-    readings: Record, path: Path, model: Calibration | None, applying: TableUse
-) -> tuple[Record, tuple[Finding, ...], tuple[str, ...]]:
-    """Return the readings by their calibration, if there is one, what speaks against them, and notes."""
-    if model is None:
-        check_physical(readings, path)
-        return readings, (), ()
-    done = correct_checked(readings, model, policy=applying.policy, power_on_s=applying.power_on_s)
-    return done.record, tuple(item for item in done.findings if item.level == "warn"), done.notes
-
-
-def calibration_findings(model: Calibration | None) -> tuple[Finding, ...]:
-    """Return one finding in place of those of a calibration whose verdict is not good."""
-    if model is None or model.verdict.status == "good":
-        return ()
-    level: Level = "fail" if model.verdict.status == "bad" else "warn"
-    sentence = f"The verdict of the calibration is {model.verdict.status}."
-    return (finding("calibration.verdict", level, sentence, "Read its findings with undrift info."),)
-
-
-def worn_by(model: Calibration | None, forward: str | None, up: str | None) -> BodyMounting | None:
-    """Return the mounting in a calibration, or None if the sides of the device are given instead."""
-    return None if model is None or forward or up else model.mounting
-
-
-def calibrated_part(record: Record, model: Calibration) -> tuple[Record, tuple[str, ...]]:
-    """Leave out, with a note, the triad that stays in counts or volts because the calibration has no model of it."""
-    if record.gyro is None or record.accel is None or (model.gyro is None and model.accel is None):
-        return record, ()
-    for name, words, si in (("accel", "accelerometers", "m/s2"), ("gyro", "gyroscopes", "rad/s")):
-        unit = getattr(record, f"{name}_unit")
-        if getattr(model, name) is None and not is_physical(unit):
-            removed: dict[str, Any] = {name: None, f"{name}_unit": si}
-            note = (
-                f"The {words} are left out of the result: they are in {unit}, and the calibration has no model of them."
-            )
-            return replace(record, **removed), (note,)
-    return record, ()
-
-
-@contextmanager
-def named_columns(path: Path) -> Iterator[None]:
-    """Add the file and the remedial option to errors about columns, units or sample rate."""
-    try:
-        yield
-    except Implausible as error:
-        rate, message = error.numbers.get("sample_rate_hz"), f"{path}: {str(error).removeprefix(f'{path}: ')}"
-        raise Implausible(message + (f": `sample_rate_hz` {rate:.4g}" if rate else ""), **error.numbers) from error
-
-
-# ---- references and devices
+# ---- references
 
 
 def labels_of(markers: str | None) -> tuple[str, ...] | None:
@@ -405,7 +463,7 @@ class Optics:
     reference_up: Up = None
 
     def pairs(
-        self, records: tuple[Path, ...], opening: Opening, *, command: str, session: Session | None = None
+        self, records: tuple[Path, ...], reader: Reader, *, command: str, session: Session | None = None
     ) -> list[tuple[Record, Reference]]:
         """Read recordings, or use the recordings of a session, and read the reference of each."""
         paths = self.reference
@@ -416,148 +474,16 @@ class Optics:
                 f"{command}: expected one reference for each recording, got {len(paths)} for {len(records)}. "
                 "Repeat `reference` for each recording, in the same order."
             )
-        read = [opening.read(record) for record in records] if session is None else session.records
-        return list(zip(read, self.read(paths), strict=True))
-
-    def of_cluster(self) -> bool:
-        """Return True if the poses belong to a cluster of markers, whose axes are arbitrary."""
-        return self.markers is not None and any(format_of(path)[1].markers for path in self.reference)
-
-    def read(self, paths: tuple[Path, ...]) -> list[Reference]:
-        """Read references with these options."""
+        read = [reader.read(record) for record in records] if session is None else session.records
         columns = None if self.reference_map is None else read_reference_map(self.reference_map)
         if self.reference_map is not None and columns is None:
             raise InputError(
                 f"{self.reference_map}: expected a map of orientations, got none. Set columns = {{ quaternion = [w, x, y, z] }}."
             )
-        return [self._poses(path, columns) for path in paths]
+        labels, up = labels_of(self.markers), self.reference_up
+        references = (read_reference(path, columns, labels=labels, up=up) for path in paths)
+        return list(zip(read, references, strict=True))
 
-    def _poses(self, path: Path, columns: ReferenceMap | None) -> Reference:
-        """Read a reference. Errors name the options that a file of markers needs."""
-        labels, entry = labels_of(self.markers), format_of(path)[1]
-        if entry.markers is None:
-            return read_reference(path, columns, labels=labels if entry.bodies else None, up=self.reference_up)
-        try:
-            markers = read_markers(path, up=self.reference_up)
-        except InputError as error:
-            if self.reference_up is not None or error.numbers.get("missing") != "up":
-                raise
-            raise InputError(
-                f"{path}: expected the axis that points up, got none. Set `reference_up` y or `reference_up` z."
-            ) from error
-        if labels is None:
-            raise InputError(
-                f"{path}: expected the labels of one rigid cluster, got none. Set `markers` to three or more, separated "
-                f"by commas, of {', '.join(markers.labels)}."
-            )
-        return pose_from_cluster(markers, labels)
-
-
-def device_at(name: str, rng: np.random.Generator, *, draw: bool) -> DeviceModel:
-    """Return a preset's typical unit, or one drawn within its tolerances, or the device of a file."""
-    if name in PRESETS:
-        return random_device(rng, grade=name) if draw else preset(name)
-    if not Path(name).exists():
-        raise InputError(
-            f"device: expected a device.json or one of {', '.join(PRESETS)}, got '{name}'. Choose one of them."
-        )
-    if draw:
-        raise InputError(
-            f"`draw`: expected a preset from which a device is drawn, got {name}. Omit `draw` with a device.json."
-        )
-    return read_device(Path(name))
-
-
-def ends_of(option: str, text: str, unit: str = "degC") -> tuple[float, float]:
-    """Return the two ends of LOW:HIGH, the lower first."""
-    low, _, high = text.partition(":")
-    try:
-        ends = float(low), float(high)
-    except ValueError:
-        raise InputError(f"{option}: expected LOW:HIGH in {unit}, got '{text}'. Write, for example, 15:35.") from None
-    if not ends[0] < ends[1] or (unit == "degC" and not -273.15 < ends[0] < ends[1] < 1000.0):
-        raise InputError(f"{option}: expected LOW below HIGH in {unit}, got '{text}'. Write, for example, 15:35.")
-    return ends
-
-
-# ---- Files to write, checked before the work begins: a wrong name costs nothing and loses nothing
-
-
-def check_output(
-    path: Path | None, *, endings: tuple[str, ...], reads: Iterable[Path | None] = (), beside: Iterable[Path] = ()
-) -> None:
-    """Refuse an output with an unsuitable ending, in a missing folder, or equal to an input or its sidecar file."""
-    if path is None:
-        return
-    if not path.name.lower().endswith(endings):
-        either = endings[0] if len(endings) == 1 else ", ".join(endings[:-1]) + " or " + endings[-1]
-        raise InputError(f"{path}: expected a name ending in {either}. Change the ending.")
-    if path.is_dir():
-        raise InputError(f"{path}: expected the name of a file to write, got a folder. Add the name of a file.")
-    if not path.parent.is_dir():
-        raise InputError(f"{path}: the folder {path.parent} does not exist. Create it first.")
-    inputs = [read for read in reads if read is not None]
-    for file in (path, *beside):
-        if file.exists() and any(_holds(read, file) for read in inputs):
-            raise InputError(f"{file}: this file is also read and cannot be written. Choose another name.")
-
-
-def check_folder(path: Path | None) -> None:
-    """Refuse a folder that cannot be written to, nor made in a folder that exists."""
-    if path is None:
-        return
-    if path.exists() and not path.is_dir():
-        raise InputError(f"{path}: expected a folder to write to, got a file of that name. Choose another name.")
-    if not path.exists() and not path.parent.is_dir():
-        raise InputError(f"{path}: the folder {path.parent} does not exist. Create it first.")
-
-
-def name_of(path: Path) -> str:
-    """Return a recording's name without its endings, for rows and files: walk.v2 of walk.v2.csv.gz."""
-    name = path.resolve().name if path.name in ("", "..") else path.name
-    for ending in (".gz", ".csv", ".txt", ".log", ".parquet", ".npz", ".mat", ".hdf5", ".h5", ".tsv"):
-        if len(name) > len(ending):
-            name = name.removesuffix(ending)
-    return name
-
-
-def _holds(read: Path, target: Path) -> bool:
-    """Return True if a file is the input, or inside the input folder."""
-    if not read.is_dir():
-        return read.exists() and target.samefile(read)
-    if (read / NAME).is_file():
-        names = [NAME, *(name for names_of_record in _names_in(read) for name in names_of_record)]
-    else:
-        names = [file.name for file in read.iterdir()]  # of a device that records into a folder
-    return any((read / name).exists() and target.samefile(read / name) for name in names)
-
-
-def files_in(value: object) -> Iterator[Path]:
-    """Yield the files among the values of options, including the fields of settings."""
-    if isinstance(value, Path):
-        yield value
-    elif isinstance(value, tuple):
-        for item in value:
-            yield from files_in(item)
-    elif is_dataclass(value):
-        for item in fields(value):
-            if WRITTEN not in getattr(item.type, "__metadata__", ()):
-                yield from files_in(getattr(value, item.name))
-
-
-def save_json(path: Path, value: object) -> None:
-    """Write a JSON object to a file, with NaN as null."""
-    write_whole(path, json.dumps(plain(value), indent=1, allow_nan=False) + "\n")
-
-
-def origin_of(*read: Path | None) -> Origin:
-    """Return the origin of a page: the command, and its files with their sha256, those of folders separately."""
-    paths = [path for path in read if path is not None and path.exists()]
-    files = {
-        file: str(file.relative_to(path.parent)) if path.is_dir() else path.name
-        for path in paths
-        for file in (sorted(path.rglob("*")) if path.is_dir() else (path,))
-        if file.is_file()
-    }
-    inputs = tuple((name, sha256_of(file)) for file, name in files.items())
-    return Origin(command=shlex.join(("undrift", *CALLED.get())), inputs=inputs)
+    def of_cluster(self) -> bool:
+        """Return True if the poses belong to a cluster of markers, whose axes are arbitrary."""
+        return self.markers is not None and any(format_of(path)[1].markers for path in self.reference)

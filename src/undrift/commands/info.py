@@ -15,7 +15,8 @@ from undrift.calibration.session import Observed, look
 from undrift.calibration.settings import CalibrateSettings
 from undrift.calibration.triads import check_triads, find_disagreement
 from undrift.commands.batch import each_recording
-from undrift.commands.files import Opening, Place, check_folder, check_output, named_columns, session_folder, session_of
+from undrift.commands.files import Opening, Place, named_columns, session_folder, session_of
+from undrift.commands.outputs import check_folder, check_output
 from undrift.errors import InputError
 from undrift.files import write_whole
 from undrift.findings import Finding
@@ -291,8 +292,15 @@ def _next_command(description: Description, stills: int, opening: Opening) -> tu
     if kind == "session" and description.summary.startswith("calibration"):
         return ("calibrate", path, "-o", "calibration.json")
     if kind == "recording" and stills >= POSES:
-        return ("calibrate", path, *opening.words(), "-o", "calibration.json")
+        return ("calibrate", path, *_options(opening), "-o", "calibration.json")
     return ()
+
+
+def _options(opening: Opening) -> tuple[object, ...]:
+    """Return the options of reading as they were given."""
+    values = {"map": opening.column_map, **opening.keys}
+    given = ((f"--{name.replace('_', '-')}", value) for name, value in values.items() if value is not None)
+    return tuple(word for pair in given for word in pair)
 
 
 # ---- files that a person edits

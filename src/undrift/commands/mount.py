@@ -7,11 +7,13 @@ import numpy as np
 
 from undrift.base.codec import tree_of
 from undrift.base.options import Files, OptionalOutput
-from undrift.commands.files import Opening, TableUse, calibration_findings, check_output, corrected, named_columns
+from undrift.commands.files import Opening, Reader
+from undrift.commands.outputs import check_output
 from undrift.errors import InputError
-from undrift.io.store import read_calibration, write_calibration
+from undrift.io.store import write_calibration
 from undrift.model import BodyMounting
 from undrift.mounting import Movement, Worn, check_turned, find_mounting, nearest_side, statement_of
+from undrift.record import Record
 from undrift.report import Report, Table
 from undrift.screen import progress
 from undrift.units import RADIAN_PER_DEGREE
@@ -46,31 +48,31 @@ def mount(
         raise InputError(
             f"{output}: expected a calibration to add the mounting to, got none. Name it with `calibration`."
         )
-    model = None if calibration is None else read_calibration(calibration)
-    readings = []
+    reader, readings = Reader(opening, calibration, records), list[Record]()
+    model = reader.model
     for k, path in enumerate(records):
         progress(f"reading {path.name}", 0.5 * k / len(records))
-        with named_columns(path):
-            readings.append(corrected(opening.like(model, calibration).read(path), path, model, TableUse())[0])
+        readings.append(reader.corrected(reader.read(path), path))
     progress("finding steps and stances", 0.5)
     fit = find_mounting(readings, worn, movement)
     title, findings = f"Mounting by {', '.join(path.name for path in records)}", fit.verdict.findings
     mounting = fit.mounting
     if mounting is None:
         answer = "The recordings do not determine how the device is worn. No file was written."
-        return Report(title=title, answer=answer, findings=findings, judged=True, data={"mounting": None})
+        return Report(
+            title=title, answer=answer, notes=reader.notes, findings=findings, judged=True, data={"mounting": None}
+        )
     if output is not None and model is not None:
         write_calibration(replace(model, mounting=mounting), output)
     return Report(
         title=title,
         answer=statement_of(mounting),
         tables=[_axes(mounting)],
-        notes=[] if output else ["Not saved: add --calibration and -o calibration.json to keep the mounting."],
-        findings=[
-            *findings,
-            *check_turned(mounting, None if model is None else model.mounting),
-            *calibration_findings(model),
+        notes=[
+            *reader.notes,
+            *([] if output else ["Not saved: add --calibration and -o calibration.json to keep the mounting."]),
         ],
+        findings=[*findings, *check_turned(mounting, reader.mounting(None, None)), *reader.findings],
         judged=True,
         written=[output] if output else [],
         data={"mounting": tree_of(mounting)},

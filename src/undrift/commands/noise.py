@@ -8,17 +8,7 @@ import numpy as np
 
 from undrift.calibration.noise import TERMS, AxisNoise, NoiseCoefficient, NoiseFit, fit_noise
 from undrift.calibration.triads import check_force
-from undrift.commands.calibration_file import choose_calibration
-from undrift.commands.files import (
-    NamedRest,
-    Opening,
-    TableUse,
-    calibrated_part,
-    calibration_findings,
-    corrected,
-    named_columns,
-)
-from undrift.findings import Finding
+from undrift.commands.files import NamedRest, Opening, Reader, named_columns
 from undrift.report import Report, Table
 from undrift.report.figures import draw_allan, draw_allan_fit
 from undrift.report.report import Cell
@@ -55,17 +45,14 @@ def noise(
     calibration : Path or None
         calibration.json: turns counts into rad/s and m/s2 first.
     """
-    chosen = choose_calibration(calibration, (record,), opening)
-    model, notes, findings = chosen.model, chosen.notes, list[Finding]()
+    reader = Reader(opening, calibration, (record,))
     with reading(0.3, record):
-        readings = opening.like(model, chosen.path).read(record)
+        readings = reader.read(record)
+    if reader.model is not None:
+        readings = reader.corrected(readings, record)
+    if rest := named.still_in(readings):
+        readings = readings.part(rest.start, rest.stop)
     with named_columns(record):
-        if model is not None:
-            readings, left_out = calibrated_part(readings, model)
-            readings, warnings, more = corrected(readings, record, model, TableUse())
-            notes, findings = (*notes, *left_out, *more), [*warnings, *calibration_findings(model)]
-        if rest := named.still_in(readings):
-            readings = readings.part(rest.start, rest.stop)
         check_force(readings)
     progress("fitting", 0.3)
     fit = fit_noise(readings)
@@ -79,8 +66,8 @@ def noise(
         answer=_answer(fit),
         tables=tables,
         details=[_deviations(fit, name) for name in triads],
-        notes=notes,
-        findings=[*fit.verdict.findings, *findings],
+        notes=reader.notes,
+        findings=[*fit.verdict.findings, *reader.findings],
         judged=True,
         figures=[lambda: draw_allan(fit)],
         data={name: list(map(_axis_data, getattr(fit, name))) for name in triads} | {"duration_s": fit.duration_s},

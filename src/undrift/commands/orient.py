@@ -7,17 +7,8 @@ import numpy as np
 
 from undrift.base.options import Flag, Output, Side
 from undrift.commands.batch import each_recording
-from undrift.commands.calibration_file import choose_calibration
-from undrift.commands.files import (
-    NamedRest,
-    Opening,
-    TableUse,
-    calibration_findings,
-    check_output,
-    corrected,
-    named_columns,
-    worn_by,
-)
+from undrift.commands.files import NamedRest, Opening, Reader, named_columns
+from undrift.commands.outputs import check_output
 from undrift.findings import two_digits
 from undrift.io.write import ORIENTATION_WRITERS, files_of, write_orientation
 from undrift.orientation import Orientation, OrientSettings, magnetometer_not_calibrated
@@ -72,36 +63,36 @@ def orient(
     """
     reads = (recording, calibration, opening.column_map)
     check_output(output, endings=tuple(ORIENTATION_WRITERS), reads=reads, beside=files_of(output)[1:])
-    chosen = choose_calibration(calibration, (recording,), opening)
-    model = chosen.model
+    reader = Reader(opening, calibration, (recording,))
+    model = reader.model
     with reading(0.4, recording):
-        record = opening.like(model, chosen.path).read(recording)
+        record = reader.read(recording)
     progress("integrating", 0.4)
     settings = OrientSettings(
         method=method, magnetometer=magnetometer, offset=offset, forward=forward or "+x",
-        up=up or "+z", mounting=worn_by(model, forward, up),
+        up=up or "+z", mounting=reader.mounting(forward, up),
     )  # fmt: skip
+    record = reader.corrected(record, recording)
+    if magnetometer and model is not None and model.magnetometer is None:
+        reader.findings.append(magnetometer_not_calibrated())
     with named_columns(recording):
-        record, findings, notes = corrected(record, recording, model, TableUse())
-        if magnetometer and model is not None and model.magnetometer is None:
-            findings += (magnetometer_not_calibrated(),)
         gyro_model = None if model is None else model.gyro
         orientation = find_orientation(record, rest.still_in(record), settings, gyro_model=gyro_model)
     angles = (orientation.inclination, orientation.heading, orientation.pitch)
     write_orientation(orientation.time, orientation.q_nb, angles, output)
     if worn := settings.mounting:
         degrees = worn.uncertainty / RADIAN_PER_DEGREE
-        notes += (
+        reader.notes.append(
             f"The pitch is that of the {worn.place}. The calibration's mounting is uncertain by {degrees:.1f} deg "
-            f"({worn.basis}).",
+            f"({worn.basis})."
         )
     return Report(
         title=f"Orientation of {recording.name}",
         answer=_answer(orientation),
         tables=[_angles(orientation)],
         details=[_tilt(orientation)],
-        notes=[*chosen.notes, *notes],
-        findings=[*calibration_findings(model), *findings, *orientation.findings],
+        notes=reader.notes,
+        findings=[*reader.findings, *orientation.findings],
         figures=[lambda: draw_orientation(orientation)],
         written=[output],
         data={

@@ -20,7 +20,8 @@ from undrift.commands.bench.capture import Capture
 from undrift.commands.bench.guides import Guide, Poses, SixFaces, Turns
 from undrift.commands.bench.source import LiveDevice, Status, found_devices
 from undrift.commands.calibrate import calibrate
-from undrift.commands.files import Place, check_output
+from undrift.commands.files import Place
+from undrift.commands.outputs import check_output
 from undrift.errors import InputError, LinkError, UndriftError
 from undrift.io.column_map import ColumnMap
 from undrift.io.formats import read_record

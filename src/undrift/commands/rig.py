@@ -12,7 +12,7 @@ import numpy as np
 from cyclopts import Parameter
 
 from undrift.base.options import Output
-from undrift.commands.files import device_at
+from undrift.commands.simulate import device_at
 from undrift.errors import InputError
 from undrift.findings import finding, told_apart
 from undrift.live.recorder import DwellReadings, Recorder

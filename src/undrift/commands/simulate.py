@@ -7,7 +7,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.base.options import Flag, Output, Up
-from undrift.commands.files import device_at, labels_of
+from undrift.commands.files import labels_of
 from undrift.errors import InputError
 from undrift.io.formats import read_reference, write_record
 from undrift.io.reference import write_reference
@@ -15,7 +15,8 @@ from undrift.record import Reference
 from undrift.report import Report, Table
 from undrift.report.figures import draw_record
 from undrift.screen import progress
-from undrift.sim.device.model import write_device
+from undrift.sim.device.model import DeviceModel, read_device, write_device
+from undrift.sim.device.presets import PRESETS, preset, random_device
 from undrift.sim.device.simulate import Simulated, simulate_device
 from undrift.sim.motion.motion import Motion
 from undrift.sim.motion.poses import fit_pose_spline
@@ -98,6 +99,21 @@ def simulate(
             "gaps": gaps,
         },
     )
+
+
+def device_at(name: str, rng: np.random.Generator, *, draw: bool) -> DeviceModel:
+    """Return a preset's typical unit, or one drawn within its tolerances, or the device of a file."""
+    if name in PRESETS:
+        return random_device(rng, grade=name) if draw else preset(name)
+    if not Path(name).exists():
+        raise InputError(
+            f"device: expected a device.json or one of {', '.join(PRESETS)}, got '{name}'. Choose one of them."
+        )
+    if draw:
+        raise InputError(
+            f"`draw`: expected a preset from which a device is drawn, got {name}. Omit `draw` with a device.json."
+        )
+    return read_device(Path(name))
 
 
 def _motion(

@@ -11,12 +11,11 @@ import pyarrow.parquet as pq
 
 from undrift.base.options import Output
 from undrift.base.workers import executor
-from undrift.commands.files import check_folder, origin_of, save_json
+from undrift.commands.outputs import check_folder, origin_of, write_results
 from undrift.errors import InputError
 from undrift.files import write_whole
 from undrift.programme import write_protocol
-from undrift.report.page import write_report
-from undrift.report.report import Report, as_json
+from undrift.report import Report
 from undrift.report.study import chosen_sessions, file_stem, study_report
 from undrift.screen import progress
 from undrift.study.figure3 import figure3
@@ -100,8 +99,7 @@ def study(
         if session.protocol is not None:
             protocol = session.protocol.named(file_stem(session)).with_faces_at_room()
             write_protocol(protocol, output / f"{file_stem(session)}.toml")
-    save_json(output / "summary.json", as_json(report, "study"))
-    write_report(output / "report.html", report, origin_of(plan))
+    write_results(output, report, "study", origin_of(plan))
     return report
 
 

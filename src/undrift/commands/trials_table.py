@@ -12,10 +12,9 @@ from pathlib import Path
 from typing import Any, cast
 
 from undrift.base.options import Side
-from undrift.commands.files import Opening, Optics, worn_by
+from undrift.commands.files import Opening, Optics, Reader
 from undrift.errors import InputError, UndriftError
 from undrift.files import read_bytes
-from undrift.io.store import read_calibration
 from undrift.report import Report, Table
 from undrift.report.figures import draw_level_errors
 from undrift.report.validation import TRIAL, label_of, level_details, level_tables, levels_json
@@ -131,12 +130,10 @@ def _trial(table: Path, row: dict[str, str], opening: Opening, forward: Side | N
         markers=row["markers"] or None,
         reference_up=cast("Any", row["reference_up"] or None),
     )
-    model = read_calibration(paths["calibration"]) if paths["calibration"] else None
     how = replace(opening, column_map=paths["map"] or opening.column_map, sensor=row["sensor"] or opening.sensor)
+    reader = Reader(how, paths["calibration"])
     try:
-        ((record, reference),) = optics.pairs(
-            (cast("Path", paths["recording"]),), how.like(model, paths["calibration"]), command="validate"
-        )
+        ((record, reference),) = optics.pairs((cast("Path", paths["recording"]),), reader, command="validate")
     except UndriftError as error:
         raise InputError(f"{table}, {row['recording']}: {error}") from error
     return LevelTrial(
@@ -146,7 +143,7 @@ def _trial(table: Path, row: dict[str, str], opening: Opening, forward: Side | N
         device=row["device"],
         record=record,
         reference=reference,
-        calibration=model,
+        calibration=reader.model,
         cluster=optics.of_cluster(),
-        mounting=worn_by(model, forward, up),
+        mounting=reader.mounting(forward, up),
     )

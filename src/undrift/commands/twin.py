@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from undrift.base.options import Files, OptionalOutput
-from undrift.commands.files import Opening, Optics, check_output
+from undrift.commands.files import Opening, Optics, Reader
+from undrift.commands.outputs import check_output
 from undrift.report import Report, Table
 from undrift.report.figures import draw_held_out
 from undrift.screen import part, progress
@@ -37,7 +38,8 @@ def twin(
         device.json to write.
     """
     check_output(output, endings=("",), reads=(*records, *optics.reference))
-    pairs = optics.pairs(records, opening, command="twin")
+    reader = Reader(opening)
+    pairs = optics.pairs(records, reader, command="twin")
     names = [record.name.split(".")[0] for record in records]
     progress("aligning and fitting", 0.01)
     fitted = fit_twin([p[0] for p in pairs], [p[1] for p in pairs], gravity_m_s2=gravity_m_s2, names=names)
@@ -54,7 +56,7 @@ def twin(
         answer=_answer(fitted, held_out),
         tables=[_parameters(fitted), _windows(held_out)],
         details=[_unidentified(fitted)],
-        notes=[] if held_out else [note],
+        notes=reader.notes if held_out else [*reader.notes, note],
         findings=fitted.gyro.triad.verdict.findings,
         figures=[lambda: draw_held_out(held_out)] if held_out else [],
         written=[output] if output else [],

@@ -8,28 +8,15 @@ from typing import Literal
 from undrift.base.options import Files, Flag, OptionalOutput, Side
 from undrift.calibration.calibrate import calibrate_to_references
 from undrift.calibration.triads import check_triads
-from undrift.commands.calibration_file import choose_calibration
-from undrift.commands.files import (
-    Opening,
-    Optics,
-    calibration_findings,
-    check_folder,
-    check_physical,
-    name_of,
-    named_columns,
-    origin_of,
-    recordings_of,
-    save_json,
-    worn_by,
-)
+from undrift.commands.files import Opening, Optics, Reader, check_physical, named_columns, recordings_of
+from undrift.commands.outputs import check_folder, name_of, origin_of, write_results
 from undrift.commands.trials_table import validate_people
 from undrift.errors import InputError
 from undrift.findings import Finding
 from undrift.io.store import write_calibration
 from undrift.model import Calibration
 from undrift.record import Mounting, Record, Reference, Session
-from undrift.report.page import write_report
-from undrift.report.report import Report, as_json
+from undrift.report import Report
 from undrift.report.validation import Comparison, validation_report
 from undrift.screen import part, progress, reading
 from undrift.validation.agreement import MOUNTING_ABOVE, Validation, validate_leave_one_out, validate_trials
@@ -99,20 +86,20 @@ def validate(
             raise InputError(f"validate: `trials` needs one folder that contains the table, got {len(records)} paths.")
         report, inputs = validate_people(records[0], trials, settings=settings, forward=forward, up=up, opening=opening)
         return _written(report, output, inputs, name="levels.json")
-    chosen = choose_calibration(calibration, records, opening)
+    reader = Reader(opening, calibration, records)
     with reading(READ, *dict.fromkeys((*records, *optics.reference))):
         records, session = recordings_of(records, opening)
-        pairs = optics.pairs(records, opening.like(chosen.model, chosen.path), command="validate", session=session)
+        pairs = optics.pairs(records, reader, command="validate", session=session)
     settings = replace(
         settings,
         offset=offset,
-        mounting=worn_by(chosen.model, forward, up),
+        mounting=reader.mounting(forward, up),
         align="level" if optics.of_cluster() and not calibrate_from else "auto",
     )
-    if chosen.model is None:
+    if reader.model is None:
         for (record, reference), path in zip(pairs, records, strict=True):
             _check_readings(record, reference, path, settings, physical=calibrate_from is None)
-    model, mounting = chosen.model, (session and session.mounting) or "each"
+    model, mounting = reader.model, (session and session.mounting) or "each"
     if calibrate_from is not None:
         progress("fitting to all recordings", READ)
         model = _fit(pairs, session, mounting, settings.longest_lag_s)
@@ -122,14 +109,13 @@ def validate(
     references = [path.name for path in optics.reference] or [""] * len(records)
     compared = Comparison(
         result=result, levels=levels, settings=settings, calibration=model,
-        source=chosen.path.name if chosen.path else "",
+        source=reader.path.name if reader.path else "",
         files=tuple((path.name, reference) for path, reference in zip(records, references, strict=True)),
     )  # fmt: skip
-    findings = fits if compared.fitted else calibration_findings(model)
-    inputs = tuple(path for path in (*records, *optics.reference, chosen.path) if path is not None)
-    return _written(
-        validation_report(compared, findings, chosen.notes), output, inputs, fitted=compared.fitted and model
-    )
+    findings = fits if compared.fitted else tuple(reader.findings)
+    notes = (*(session.notes if session else ()), *reader.notes)
+    inputs = tuple(path for path in (*records, *optics.reference, reader.path) if path is not None)
+    return _written(validation_report(compared, findings, notes), output, inputs, fitted=compared.fitted and model)
 
 
 def _check_readings(
@@ -211,6 +197,5 @@ def _written(
         made_from = replace(fitted.provenance, inputs=origin.inputs)
         write_calibration(replace(fitted, provenance=made_from), folder / "calibration.json")
         report = replace(report, written=[*report.written, folder / "calibration.json"])
-    save_json(folder / name, as_json(report, "validate"))
-    write_report(folder / "report.html", report, origin)
+    write_results(folder, report, "validate", origin, name=name)
     return report

@@ -50,6 +50,7 @@ NATIVE = {
     "accel": {"m/s2": "m_s2", "g": "g", "mg": "mg", "count": "count", "v": "v"},
     "mag": {"ut": "ut"},
 }
+QUATERNION, POSITION = ("q_w", "q_x", "q_y", "q_z"), ("pos_x_m", "pos_y_m", "pos_z_m")  # native columns of poses
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,6 +168,12 @@ class ColumnMap(TextLayout):
         dated = numeric and self.is_dated()
         channels = [*CHANNELS[dated:], "counter"]
         return tuple(column for channel in channels for column in self.columns_of(channel))
+
+    def unread(self, names: Names) -> tuple[str, ...]:
+        """Return a note about the columns of a table that this map leaves out. Poses are a reference, not readings."""
+        left_out = [name for name in names if name not in (*self.wanted(), *QUATERNION, *POSITION, "moving")]
+        text = f"These columns have other names than undrift's and were not read: {', '.join(left_out[:12])}."
+        return (f"{text} Read them with a column map.",) if left_out else ()
 
     def is_dated(self) -> bool:
         """Return True if the time column contains dates."""

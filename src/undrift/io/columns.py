@@ -17,6 +17,7 @@ import numpy as np
 from undrift.arrays import BoolArray, FloatArray, IntArray
 from undrift.base.codec import tree_of
 from undrift.errors import FileFormatError, InputError
+from undrift.findings import Finding, finding
 from undrift.frames import Frame
 from undrift.io.clock import ClockFit, fit_clock, unwrapped
 from undrift.io.column_map import (
@@ -192,8 +193,30 @@ class ReadResult:
     dropped_rows: int = 0  # Rows that did not parse
     repaired_rows: int = 0  # Rows whose time did not go forward
     notes: tuple[str, ...] = ()  # notes on the reading: units from a manual, skipped lines, omitted rows
-    clock: ClockFit | None = None  # note on the fit of a regular clock
+    clock: ClockFit | None = None  # fit of a regular clock
     epoch_s: float = 0.0  # Unix time that was taken off the clock, s
+
+    @property
+    def remarks(self) -> tuple[Finding, ...]:
+        """How the file was read: skipped columns, assumed units, rows left out, a fitted clock."""
+        remarks = [finding("recording.how_read", "info", note) for note in self.notes]
+        remarks += rows_left_out(self.dropped_rows, "they did not parse")
+        remarks += rows_left_out(self.repaired_rows, "their time did not go forward")
+        if self.clock is not None:
+            clock, by = self.clock, "the device's counter" if self.clock.counted else "the steps of the stamps"
+            sentence = (
+                f"A regular clock of {clock.sample_rate_hz:.6g} Hz was fitted to {by}: stamps are up to "
+                f"{1e3 * clock.jitter_s:.3g} ms late, {clock.missing} samples are missing in {clock.gaps} gaps of up to "
+                f"{clock.longest_step_s:.3g} s."
+            )
+            remarks.append(finding("recording.how_read", "info", sentence))
+        return tuple(remarks)
+
+
+def rows_left_out(count: int, why: str) -> list[Finding]:
+    """Return the finding about rows that were left out, if there are any."""
+    sentence = f"{count} rows were left out, because {why}."
+    return [finding("recording.rows_left_out", "warn", sentence, count=count)] if count else []
 
 
 def build_record(table: RawTable, column_map: ColumnMap | None = None) -> ReadResult:

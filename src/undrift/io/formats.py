@@ -377,11 +377,16 @@ def without(record: Record, stretches: Sequence[tuple[float, float]]) -> Record:
     return replace(record, **gaps).part(int(stays[0]), int(stays[-1]) + 1)
 
 
+def is_streamed(path: str | Path, how: ColumnMap) -> bool:
+    """Return True if a recording can be read in constant memory."""
+    whole = how.temp_file or how.leave_out or how.clock == "regular" or how.is_dated()
+    return detect(path) == "parquet" and not whole
+
+
 def iter_record(path: str | Path, column_map: ColumnMap | None = None, *, rows: int = CHUNK_ROWS) -> Iterator[Record]:
     """Read a recording in chunks. Parquet is read in constant memory. Other formats are read whole and then split."""
     how = column_map or READ_SETTINGS
-    whole = how.temp_file or how.leave_out or how.clock == "regular" or how.is_dated()
-    if detect(path) == "parquet" and not whole:
+    if is_streamed(path, how):
         yield from iter_parquet(path, how, rows=rows)
         return
     if rows < 2:
@@ -459,7 +464,7 @@ def read_reference(
         markers = entry.markers(path, up)
         if not labels:
             raise InputError(
-                f"{path}: expected the labels of one rigid cluster, got none. Choose three or more from "
+                f"{path}: expected the labels of one rigid cluster, got none. Set `labels` to three or more of "
                 f"{', '.join(markers.labels)}."
             )
         return pose_from_cluster(markers, labels)

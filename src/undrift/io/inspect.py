@@ -14,7 +14,7 @@ from undrift.errors import InputError
 from undrift.files import read_bytes, read_tree
 from undrift.findings import Finding, finding
 from undrift.io.column_map import READ_SETTINGS, ColumnMap, is_native, read_map
-from undrift.io.columns import RawTable, ReadResult, native_columns
+from undrift.io.columns import RawTable, ReadResult, native_columns, rows_left_out
 from undrift.io.formats import format_of, read_counted, read_markers, read_reference
 from undrift.io.guess import MapProposal, foreign_kind, is_poses, propose, sample_of
 from undrift.io.imucal import is_imucal
@@ -22,7 +22,7 @@ from undrift.io.labelled import labelled, states_units
 from undrift.io.libraries import columns_of_arrays, mat_arrays
 from undrift.io.log import log_text
 from undrift.io.mocap import Markers, Up
-from undrift.io.parquet import parquet_names, read_parquet_table
+from undrift.io.parquet import read_parquet_table
 from undrift.io.reference import ReferenceMap, native_reference
 from undrift.io.session import read_session
 from undrift.io.symptoms import check_sampling, find_symptoms, gaps_of
@@ -118,30 +118,12 @@ def _recording(path: Path, name: str, how: ColumnMap) -> Description:
         if in_table and is_poses(poses := propose(sample_of(text := sniff(path)), text)):
             return replace(description, summary=_POSES, columns=text.names, proposal=poses)
         return replace(description, proposal=MapProposal(**proposal)) if isinstance(proposal, dict) else description
-    description = describe_record(read)
-    if not how.columns and name in ("csv", "parquet"):
-        columns = sniff(path).names if name == "csv" else parquet_names(path)
-        if unread := [column for column in columns if column not in description.columns]:
-            sentence = f"These columns have other names than undrift's and were not read: {', '.join(unread[:12])}."
-            unread_finding = finding("recording.how_read", "info", sentence, "Read them with a column map.")
-            description = replace(description, findings=(*description.findings, unread_finding))
-    return description
+    return describe_record(read)
 
 
 def describe_record(read: ReadResult) -> Description:
     """Return a description of a record."""
     record, mean, usual = read.record, mean_rate_hz(read.record), read.record.sample_rate_hz
-    how_read = [finding("recording.how_read", "info", note) for note in read.notes]
-    how_read += _rows_left_out(read.dropped_rows, "they did not parse")
-    how_read += _rows_left_out(read.repaired_rows, "their time did not go forward")
-    if (clock := read.clock) is not None:
-        by = "the device's counter" if clock.counted else "the steps of the stamps"
-        sentence = (
-            f"A regular clock of {clock.sample_rate_hz:.6g} Hz was fitted to {by}: stamps are up to "
-            f"{1e3 * clock.jitter_s:.3g} ms late, {clock.missing} samples are missing in {clock.gaps} gaps of up to "
-            f"{clock.longest_step_s:.3g} s."
-        )
-        how_read.append(finding("recording.how_read", "info", sentence))
     rate = f"{mean:.6g} Hz"
     if abs(mean / usual - 1.0) >= _REGULAR:
         rate = f"{mean:.4g} Hz on average (usual step {1e3 / usual:.4g} ms, {usual:.4g} Hz)"
@@ -149,15 +131,10 @@ def describe_record(read: ReadResult) -> Description:
     return Description(
         kind="recording",
         summary=f"{len(record)} samples at {rate}, {record.duration_s:.6g} s{device}",
-        findings=(*how_read, *find_symptoms(record)),
+        findings=(*read.remarks, *find_symptoms(record)),
         session=Session(kind="calibration", serial="", gravity_m_s2=STANDARD_GRAVITY, records=(record,)),
         **_of_records(record),
     )
-
-
-def _rows_left_out(count: int, why: str) -> list[Finding]:
-    sentence = f"{count} rows were left out, because {why}."
-    return [finding("recording.rows_left_out", "warn", sentence, count=count)] if count else []
 
 
 def _of_records(*records: Record) -> dict[str, Any]:
@@ -192,7 +169,8 @@ def _session(path: Path, how: ColumnMap) -> Description:
         kind="session",
         summary=f"{session.kind} of {session.serial}: {listing}",
         session=session,
-        findings=tuple(
+        findings=tuple(finding("recording.how_read", "info", note) for note in session.notes)
+        + tuple(
             replace(item, values={**item.values, "recording": number})
             for number, record in enumerate(session.records)
             for item in find_symptoms(record)
@@ -280,7 +258,7 @@ def _markers(path: Path, up: Up | None) -> Description:
         markers = read_markers(path, up="z")
         sentence, action = "The file does not state which axis points up.", "Set `reference_up` to y or z."
         findings.append(finding("recording.up_axis", "warn", sentence, action))
-    findings += _rows_left_out(markers.short_rows, "they end before the last marker, which is read as lost")
+    findings += rows_left_out(markers.short_rows, "they end before the last marker, which is read as lost")
     gap: BoolArray = np.any(np.isnan(markers.points), axis=2)
     never = [label for k, label in enumerate(markers.labels) if gap[:, k].all()]
     remark = f" ({', '.join(never)} never seen)" if never else ""

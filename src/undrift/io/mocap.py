@@ -152,7 +152,8 @@ def stated_up(path: Path, up: Up | None, why: str) -> Up:
     """Return the axis that points up. InputError if it is not given."""
     if up is None:
         raise InputError(
-            f'{path}: expected the axis that points up, got none. {why} does not contain it. Set up = "y" or "z".',
+            f"{path}: expected the axis that points up, got none. {why} does not contain it. Set up = 'y' or 'z', or the "
+            "option --reference-up.",
             missing="up",
         )
     return up

@@ -217,6 +217,7 @@ def _stating(path: Path, handle: Any, table: RawTable, how: ColumnMap) -> RawTab
     if how.columns:
         return table
     own = native_map(table.names, how, source=str(path))
+    table = replace(table, notes=own.unread(table.names))
     metadata = handle.schema_arrow.metadata
     if not metadata or _KEY not in metadata:
         return replace(table, own=own)

@@ -30,6 +30,8 @@ from undrift.errors import FileFormatError, InputError
 from undrift.files import read_bytes, write_whole
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate
 from undrift.io.column_map import (
+    POSITION,
+    QUATERNION,
     ChannelColumns,
     Clock,
     Column,
@@ -154,8 +156,6 @@ def _axes(*, up: FloatArray, forward: FloatArray) -> FloatArray:
 # ---- tables of quaternions
 
 # undrift's own names, in CSV, Parquet and mat: time_s, these, and optionally the position and moving.
-QUATERNION = ("q_w", "q_x", "q_y", "q_z")
-POSITION = ("pos_x_m", "pos_y_m", "pos_z_m")
 NEARLY_UNIT = 0.01  # devices round, and some scale: such quaternions are made unit, others are refused
 
 

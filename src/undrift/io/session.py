@@ -184,7 +184,7 @@ def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
             rate_table=table.rate_table,
             sensitivity=table.temperature,
             mounting=head.mounting,
-            notes=tuple(note for result in results for note in result.notes),
+            notes=tuple(item.text for result in results for item in result.remarks),
         )
 
 
@@ -219,7 +219,7 @@ def session_from_files(
         inputs=tuple((Path(name).name, sha256_of(name)) for name in names if Path(name).is_file()),
         file_map=_shared_map([how]),
         gravity_source=source,
-        notes=tuple(note for result in results for note in result.notes),
+        notes=tuple(item.text for result in results for item in result.remarks),
     )
 
 

@@ -72,7 +72,7 @@ def read_csv(path: str | Path, how: ColumnMap = READ_SETTINGS) -> RawTable:
     if own is None:
         return replace(table, notes=(*table.notes, *_skipped_readings(text)))
     own = own if marks is None or how.gaps else own.but(gaps="keep")  # undrift wrote it: an empty cell is a gap
-    return replace(table, own=own, marks=marks or {})
+    return replace(table, notes=(*table.notes, *own.unread(text.names)), own=own, marks=marks or {})
 
 
 def _skipped_readings(text: "Text") -> list[str]:

@@ -16,7 +16,7 @@ from undrift.sim.device.presets import random_device
 
 
 def kept_s(capture):
-    return sum(float(part.time[-1] - part.time[0]) for each in capture._stretches for part in each.parts)
+    return sum(float(chunk.time[-1] - chunk.time[0]) for chunk in capture._readings)
 
 
 @pytest.fixture

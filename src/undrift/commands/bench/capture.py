@@ -10,10 +10,10 @@ turning the device over all its sides. Only relative lengths are used, so that n
 
 import math
 from collections import deque
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar, cast
 
 import numpy as np
 
@@ -24,13 +24,14 @@ from undrift.record import FACES, Face, Record, Session, Still, Turn, joined
 from undrift.segments import BENCH_ACCEL_LIMIT, StillSettings, find_still, sample_count, sliding_moments, sphere_of
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical
 
+Piece = TypeVar("Piece", Still, Turn)
 State = Literal["no readings", "moving", "settling", "still", "captured", "wrong face", "tilted", "unknown face"]
 COUNTDOWN_S, SETTLE_S = 6.0, 1.5  # rest that is captured, and rest before that
 TILT_DEG = 12.0  # largest tilt of a face, as the uncalibrated accelerometers read it
 SILENCE_S = 1.0  # host time without a new reading that counts as none
-GAP_S, GAP_PERIODS = 0.1, 5.0  # a longer silence of the device ends a stretch of readings
+GAP_S, GAP_PERIODS = 0.1, 5.0  # a longer silence of the device is a gap
 KEEP_S = 120.0  # of readings in which nothing is captured
-BESIDE_S = 10.0  # kept before the first piece of a stretch, and behind the last
+BESIDE_S = 10.0  # kept before the first piece of a recording, and behind the last
 CLOUD_S, CLOUD_POINTS = 0.25, 2000  # means of the accelerometers that show their zero
 ALIKE = 1.6  # lengths of readings that share a zero of 0, within 0.2 g
 # of a cloud that shows a sphere: points, radius over noise, length of their mean side, least mean square of a side, spread of the
@@ -51,38 +52,11 @@ class Light:
     left_s: float | None = None  # Until the capture, while it counts down
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CapturedSpan:
-    """A stretch of time in which something was captured."""
-
-    stretch: int  # Number of the stretch of readings
-    start_s: float  # On the device's clock
-    stop_s: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CapturedFace(CapturedSpan):
-    """A rest with a face up."""
-
-    face: Face
-    mean: tuple[float, float, float]  # mean of the accelerometers, raw
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CapturedTurn(CapturedSpan):
-    """A turn between two rests."""
-
-    turn: Turn  # axis and angle; its samples are determined again when it is written
-    before: CapturedSpan
-    after: CapturedSpan
-    reading: float  # Integral about the axis, raw unit times s
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Rest:
-    """A rest that lasts until the newest reading."""
+    """A rest: one that lasts until the newest reading, or one that was captured. Times are on the clock of the capture."""
 
-    start_s: float  # On the device's clock
+    start_s: float
     stop_s: float
     mean: FloatArray  # (3,), of the accelerometers, raw
 
@@ -92,35 +66,42 @@ class Rest:
         return self.stop_s - self.start_s
 
 
-@dataclass(slots=True)
-class _Stretch:
-    number: int
-    parts: list[Record] = field(default_factory=list)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CapturedTurn:
+    """A turn between two rests."""
 
-    def record(self, start_s: float = -math.inf, stop_s: float = math.inf) -> Record:
-        """Return its readings in a span of time."""
-        stretch = joined([chunk for chunk in self.parts if chunk.time[-1] >= start_s and chunk.time[0] < stop_s])
-        first, last = np.searchsorted(stretch.time, (start_s, stop_s)).tolist()
-        return stretch.part(first, last)
+    turn: Turn  # axis and angle; its samples are determined when it is written
+    before: Rest
+    after: Rest
+    reading: float  # Integral about the axis, raw unit times s
+
+    @property
+    def way(self) -> str:
+        """Return which turn it is: ``+x`` for one about x by a positive angle."""
+        return f"{'+' if (self.turn.angle or 0.0) > 0.0 else '-'}{self.turn.axis}"
 
 
 class Capture:
-    """The data of a guided session: readings, faces, turns and the folder."""
+    """The data of a guided session: readings, faces, turns and the folder.
+
+    Readings are on one clock: that of the first connection. Another connection follows after a gap.
+    """
 
     def __init__(self, folder: Path, serial: str = "", *, gravity_m_s2: float | None = None) -> None:
         self.folder, self.serial, self.gravity_m_s2 = folder, serial, gravity_m_s2
-        self.faces: dict[Face, CapturedFace] = {}
-        self.turns: list[CapturedTurn] = []
+        self.faces: dict[str, Rest] = {}
+        self.turns: dict[str, CapturedTurn] = {}  # by direction
         self.saved = False  # True if the folder contains all captured data
-        self._stretches: list[_Stretch] = []
-        self._key: object = None
+        self.newest_s = (
+            self.whole_from_s
+        ) = -math.inf  # time of the newest reading, and of the first one after the last gap
+        self._readings: list[Record] = []
+        self._key: object = None  # connection
+        self._clock_s = 0.0  # what is added to its clock
         self._heard_s = -math.inf  # host time of the newest reading
-        self.newest_s = -math.inf  # its time on the device's clock
         self._cloud: deque[FloatArray] = deque(maxlen=CLOUD_POINTS)
         self._rests: deque[FloatArray] = deque(maxlen=64)
-        self._noise = self._extent = (
-            0.0  # raw: noise of the accelerometers at rest, and longest side of the cloud of readings
-        )
+        self._noise = self._extent = 0.0  # raw: noise of the accelerometers at rest, longest side of the cloud
 
     # ---- Readings
 
@@ -132,27 +113,29 @@ class Capture:
             raise InputError(
                 "capture: gyroscope and accelerometer are both required, but one is missing. Name both in the device's address."
             )
-        latest = self._stretches[-1].parts[-1] if self._stretches else record
+        latest = self._readings[-1] if self._readings else record
         if (latest.gyro_unit, latest.accel_unit) != (record.gyro_unit, record.accel_unit):
             raise InputError(
                 f"capture: expected readings in {latest.accel_unit}, got {record.accel_unit}. Start a new session."
             )
-        if key is not self._key or record.time[-1] < self.newest_s:  # another connection, whose clock is its own
-            self._key, self.newest_s = key, -math.inf
-        longest_s, first = _longest_s(record), int(np.searchsorted(record.time, self.newest_s, side="right"))
-        ends = [*(first + 1 + np.flatnonzero(np.diff(record.time[first:]) > longest_s)).tolist(), len(record)]
-        for stop in ends:
-            if stop - first >= 2:  # a single reading waits for the next
-                if record.time[first] - self.newest_s > longest_s:
-                    self._stretches.append(_Stretch(self._stretches[-1].number + 1 if self._stretches else 0))
-                self._keep(record.part(first, stop), max(1, round(CLOUD_S * record.sample_rate_hz)))
-                self._heard_s, self.newest_s = now_s, float(record.time[stop - 1])
-            first = stop
-        if self._stretches:
-            self._forget()
+        longest_s = _longest_s(record)
+        if self._readings and (key is not self._key or record.time[-1] + self._clock_s < self.newest_s):
+            self._clock_s = self.newest_s + 2.0 * longest_s - float(record.time[0])
+        self._key = key
+        time = record.time + self._clock_s
+        first = int(np.searchsorted(time, self.newest_s, side="right"))
+        if len(record) - first < 2:  # a single reading waits for the next
+            return
+        gaps = np.flatnonzero(np.diff(time[first:], prepend=self.newest_s) > longest_s)
+        if len(gaps):
+            self.whole_from_s = float(time[first + gaps[-1]])
+        self._readings.append(replace(record, time=time).part(first, len(record)))
+        self._heard_s, self.newest_s = now_s, float(time[-1])
+        self._add_to_cloud(self._readings[-1])
+        self._forget()
 
-    def _keep(self, chunk: Record, step: int) -> None:
-        self._stretches[-1].parts.append(chunk)
+    def _add_to_cloud(self, chunk: Record) -> None:
+        step = max(1, round(CLOUD_S * chunk.sample_rate_hz))
         for first in range(0, len(chunk), step):
             mean = np.asarray(chunk.accel)[first : first + step].mean(axis=0)
             moved = not self._cloud or np.linalg.norm(mean - self._cloud[-1]) > 0.02 * self._extent
@@ -162,33 +145,37 @@ class Capture:
 
     def _forget(self) -> None:
         """Drop readings in which nothing was captured for long."""
-        now = self._stretches[-1]
-        pieces = {piece.stretch for piece in self._pieces()}
-        self._stretches = [stretch for stretch in self._stretches if stretch is now or stretch.number in pieces]
-        last = max((piece.stop_s for piece in self._pieces() if piece.stretch == now.number), default=-math.inf)
-        newest = float(now.parts[-1].time[-1])
-        if newest - max(last, float(now.parts[0].time[0])) < 2.0 * KEEP_S:
-            return
-        fresh = _Stretch(now.number + 1, [chunk for chunk in now.parts if chunk.time[-1] > newest - KEEP_S])
-        now.parts = [chunk for chunk in now.parts if chunk.time[0] < last + BESIDE_S]
-        self._stretches = [*(self._stretches if now.parts else self._stretches[:-1]), fresh]
+        last_s = max((rest.stop_s for rest in self._captured_rests()), default=-math.inf)
+        if self.newest_s - max(last_s, float(self._readings[0].time[0])) > 2.0 * KEEP_S:
+            self._readings = [
+                chunk
+                for chunk in self._readings
+                if chunk.time[0] < last_s + BESIDE_S or chunk.time[-1] > self.newest_s - KEEP_S
+            ]
 
-    def _pieces(self) -> Iterator[CapturedSpan]:
-        yield from self.faces.values()
-        yield from self.turns
+    def _captured_rests(self) -> list[Rest]:
+        return [*self.faces.values(), *(rest for turn in self.turns.values() for rest in (turn.before, turn.after))]
 
-    @property
-    def stretch(self) -> int:
-        """Return the number of the stretch of the newest readings."""
-        return self._stretches[-1].number if self._stretches else -1
+    def _between(self, start_s: float, stop_s: float = math.inf) -> Record:
+        chunks = joined([chunk for chunk in self._readings if chunk.time[-1] >= start_s and chunk.time[0] < stop_s])
+        first, last = np.searchsorted(chunks.time, (start_s, stop_s)).tolist()
+        return chunks.part(first, last)
 
     def tail(self, seconds: float) -> Record | None:
         """Return the newest readings since the last gap. Single lost readings are left out."""
-        return _drop_lost_rows(self._stretches[-1].record(self.newest_s - seconds)) if self._stretches else None
+        if not self._readings:
+            return None
+        record = self._between(max(self.newest_s - seconds, self.whole_from_s))
+        gyro, accel = np.asarray(record.gyro), np.asarray(record.accel)
+        at = np.flatnonzero(~np.isnan(np.column_stack((gyro, accel))).any(axis=1))
+        at = at[max(np.flatnonzero(np.diff(record.time[at]) > _longest_s(record)), default=-1) + 1 :]
+        if len(at) in (len(record), 0, 1):
+            return record if len(at) > 1 else None
+        return replace(record, time=record.time[at], gyro=gyro[at], accel=accel[at], temp_c=None, mag_ut=None)
 
     def lost(self, start_s: float, stop_s: float) -> bool:
-        """Return True if a reading of the newest stretch was lost in a span of time."""
-        return bool(np.isnan(np.asarray(self._stretches[-1].record(start_s, stop_s).gyro)).any())
+        """Return True if a reading was lost in a span of time."""
+        return bool(np.isnan(np.asarray(self._between(start_s, stop_s).gyro)).any())
 
     # ---- Rest and face
 
@@ -196,9 +183,9 @@ class Capture:
         """Return True if no readings have come recently."""
         return now_s - self._heard_s > SILENCE_S
 
-    def rest(self, seconds: float | None = None) -> Rest | None:
+    def rest(self) -> Rest | None:
         """Return the current rest. Return None while the device moves, or if there are too few readings."""
-        record = self.tail(2.0 * (COUNTDOWN_S + SETTLE_S) if seconds is None else seconds)
+        record = self.tail(2.0 * (COUNTDOWN_S + SETTLE_S))
         if record is None:
             return None
         start, stop = 0, len(record)
@@ -226,7 +213,7 @@ class Capture:
         """Return True if readings in counts vary by more than a bench allows, as shares of gravity. `find_still` judges
         physical readings.
         """
-        zero = None if is_physical(self._stretches[-1].parts[-1].accel_unit) else self._zero(mean)[0]
+        zero = None if self._is_physical else self._zero(mean)[0]
         if zero is None:
             return False
         usual, length = StillSettings(), float(np.linalg.norm(mean - zero))
@@ -237,7 +224,7 @@ class Capture:
         return bool(spread.max() > BENCH_ACCEL_LIMIT / STANDARD_GRAVITY * length)
 
     def face_of(self, rest: Rest) -> tuple[Face | None, float]:
-        """Return the face that is up in a rest, None where nothing shows it, and how far it is tilted beyond the limit, deg."""
+        """Return the face that is up in a rest, or None if it is not known, and its tilt beyond the limit, deg."""
         up, limit_deg = self.up(rest)
         if up is None:
             return None, 0.0
@@ -250,9 +237,13 @@ class Capture:
         zero, limit_deg = self._zero(rest.mean)
         return None if zero is None else (rest.mean - zero) / np.linalg.norm(rest.mean - zero), limit_deg
 
+    @property
+    def _is_physical(self) -> bool:
+        return is_physical(self._readings[-1].accel_unit)
+
     def _zero(self, mean: FloatArray) -> tuple[FloatArray | None, float]:
         """Return the reading of the accelerometers in free fall, (3,), or None if it is not observable."""
-        if is_physical(self._stretches[-1].parts[-1].accel_unit):
+        if self._is_physical:
             return np.zeros(3), TILT_DEG
         if len(self.faces) >= 5:
             return sphere_of(np.array([captured.mean for captured in self.faces.values()]))[0], TILT_DEG
@@ -267,69 +258,64 @@ class Capture:
 
     def add_face(self, face: Face, rest: Rest) -> None:
         """Capture the newest of a rest as a face, in place of the one before."""
-        start_s, (x, y, z) = max(rest.start_s, rest.stop_s - COUNTDOWN_S), rest.mean.tolist()
-        captured = CapturedFace(stretch=self.stretch, start_s=start_s, stop_s=rest.stop_s, face=face, mean=(x, y, z))
-        self.faces = {**self.faces, face: captured}
+        self.faces[face] = replace(rest, start_s=max(rest.start_s, rest.stop_s - COUNTDOWN_S))
         self.saved = False
 
     def add_turn(self, turn: CapturedTurn) -> None:
         """Capture a turn, in place of an earlier turn about the same axis in the same direction."""
-        same = [other for other in self.turns if way_of(other) == way_of(turn)]
-        self.turns = [*(other for other in self.turns if other not in same), turn]
+        self.turns[turn.way] = turn
         self.saved = False
 
     def session(self) -> Session:
-        """Return the captured data as a session."""
-        pieces = list(self._pieces())
-        used = [stretch for stretch in self._stretches if any(piece.stretch == stretch.number for piece in pieces)]
-        if not used:
+        """Return the captured data as a session, with a recording for each stretch of readings without a gap."""
+        if not self.faces and not self.turns:
             raise InputError("session: expected a captured face or turn, got none. Capture one first.")
-        records, number = list[Record](), dict[int, int]()
-        for stretch in used:
-            captures = [piece for piece in pieces if piece.stretch == stretch.number]
-            starts = [p.before.start_s if isinstance(p, CapturedTurn) else p.start_s for p in captures]
-            stops = [p.after.stop_s if isinstance(p, CapturedTurn) else p.stop_s for p in captures]
-            number[stretch.number] = len(records)
-            records.append(stretch.record(min(starts) - BESIDE_S, max(stops) + BESIDE_S))
+        whole = joined(self._readings)
+        stills, turns = self._stills(whole), list[Turn]()
+        for captured in self.turns.values():
+            start, stop = _samples(whole, captured.before.stop_s, captured.after.start_s)
+            turns.append(replace(captured.turn, start=start, stop=stop))
+            stills = [replace(still, stop=start) if still.start < start < still.stop else still for still in stills]
+        gaps = [0, *(1 + np.flatnonzero(np.diff(whole.time) > _longest_s(whole))).tolist(), len(whole)]
+        pieces: list[Still | Turn] = [*stills, *turns]
+        spans = list[tuple[int, int]]()  # samples of each recording
+        for first, last in pairwise(gaps):
+            inside = [piece for piece in pieces if first <= piece.start < last]
+            if inside:
+                start_s = float(whole.time[min(piece.start for piece in inside)]) - BESIDE_S
+                stop_s = float(whole.time[max(piece.stop for piece in inside) - 1]) + BESIDE_S
+                start, stop = _samples(whole, start_s, stop_s)
+                spans.append((max(start, first), min(stop, last)))
 
-        def samples(piece: CapturedSpan) -> tuple[int, int]:
-            time = records[number[piece.stretch]].time
-            start, stop = np.searchsorted(time, (piece.start_s, piece.stop_s)).tolist()
-            return start, max(stop, start + 1)
+        def placed(piece: Piece) -> Piece:
+            number = next(k for k, (start, stop) in enumerate(spans) if start <= piece.start < stop)
+            start = piece.start - spans[number][0]
+            return replace(piece, start=start, stop=start + piece.stop - piece.start, recording=number)
 
-        stills = [
-            Still(start=start, stop=stop, face=captured.face, recording=number[captured.stretch])
-            for captured in self.faces.values()
-            for start, stop in [samples(captured)]
-        ]
-        for piece in (rest for captured in self.turns for rest in (captured.before, captured.after)):
-            start, stop = samples(piece)
-            at = number[piece.stretch]
-            for still in stills:  # a rest between two turns counts once, and readings of a face belong to the face
-                if still.recording == at and still.start < stop and start < still.stop:
-                    start, stop = (still.stop, stop) if stop > still.stop else (start, min(stop, still.start))
-            if stop - start >= LEAST_REST_S * records[at].sample_rate_hz:
-                stills.append(Still(start=start, stop=stop, recording=at))
-        turns = []
-        for captured in self.turns:
-            start, stop = samples(captured)
-            turns.append(replace(captured.turn, start=start, stop=stop, recording=number[captured.stretch]))
-        for turn in turns:
-            stills = [
-                replace(still, stop=turn.start)
-                if still.recording == turn.recording and still.start < turn.start < still.stop
-                else still
-                for still in stills
-            ]
         return Session(
             kind="calibration",
-            serial=self.serial or records[0].device,
+            serial=self.serial or whole.device,
             gravity_m_s2=self.gravity_m_s2 or STANDARD_GRAVITY,
             gravity_source="stated" if self.gravity_m_s2 else "standard",
-            records=tuple(records),
-            stills=tuple(sorted(stills, key=lambda still: (still.recording, still.start))),
-            turns=tuple(sorted(turns, key=lambda turn: (turn.recording, turn.start))),
+            records=tuple(whole.part(*span) for span in spans),
+            stills=tuple(map(placed, sorted(stills, key=lambda still: still.start))),
+            turns=tuple(map(placed, sorted(turns, key=lambda turn: turn.start))),
         )
+
+    def _stills(self, whole: Record) -> list[Still]:
+        """Return the faces, and the parts of the rests next to turns that belong to no other rest."""
+        stills = list[Still]()
+        for face, captured in self.faces.items():
+            start, stop = _samples(whole, captured.start_s, captured.stop_s)
+            stills.append(Still(start=start, stop=stop, face=cast(Face, face)))
+        for rest in (rest for turn in self.turns.values() for rest in (turn.before, turn.after)):
+            start, stop = _samples(whole, rest.start_s, rest.stop_s)
+            for still in stills:
+                if still.start < stop and start < still.stop:
+                    start, stop = (still.stop, stop) if stop > still.stop else (start, min(stop, still.start))
+            if stop - start >= LEAST_REST_S * whole.sample_rate_hz:
+                stills.append(Still(start=start, stop=stop))
+        return stills
 
     def save(self, session: Session | None = None) -> None:
         """Write the captured data to the folder, for ``undrift calibrate``."""
@@ -339,6 +325,11 @@ class Capture:
             if int(path.stem.rpartition("_")[2]) >= len(content.records):
                 path.unlink()
         self.saved = True
+
+
+def _samples(record: Record, start_s: float, stop_s: float) -> tuple[int, int]:
+    start, stop = np.searchsorted(record.time, (start_s, stop_s)).tolist()
+    return start, max(stop, start + 1)
 
 
 def _fit_zero_sphere(cloud: FloatArray, rests: FloatArray, noise: float) -> FloatArray | None:
@@ -362,20 +353,3 @@ def _fit_zero_sphere(cloud: FloatArray, rests: FloatArray, noise: float) -> Floa
 def _longest_s(record: Record) -> float:
     """Return the longest silence within a stretch of readings, s."""
     return max(GAP_S, GAP_PERIODS * float(np.median(np.diff(record.time))))
-
-
-def _drop_lost_rows(record: Record) -> Record | None:
-    """Return a record without lost rows, from the last longer loss on, or None if all rows were lost."""
-    at = np.flatnonzero(~np.isnan(np.column_stack((record.gyro, record.accel))).any(axis=1))  # type: ignore[arg-type]
-    if len(at) == len(record) or len(at) < 2:
-        return record if len(at) else None
-    at = at[max(np.flatnonzero(np.diff(record.time[at]) > _longest_s(record)), default=-1) + 1 :]
-    if len(at) < 2:
-        return None
-    gyro, accel = np.asarray(record.gyro)[at], np.asarray(record.accel)[at]
-    return replace(record, time=record.time[at], gyro=gyro, accel=accel, temp_c=None, mag_ut=None)
-
-
-def way_of(captured: CapturedTurn) -> str:
-    """Return which turn it is: ``+x`` for one about x by a positive angle."""
-    return f"{'+' if (captured.turn.angle or 0.0) > 0.0 else '-'}{captured.turn.axis}"

@@ -16,25 +16,12 @@ the angles read here.
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import cast
+from dataclasses import replace
 
 import numpy as np
 
 from undrift.arrays import FloatArray
-from undrift.commands.bench.capture import (
-    COUNTDOWN_S,
-    SETTLE_S,
-    UNKNOWN,
-    Capture,
-    CapturedFace,
-    CapturedSpan,
-    CapturedTurn,
-    Light,
-    Rest,
-    State,
-    way_of,
-)
+from undrift.commands.bench.capture import COUNTDOWN_S, SETTLE_S, UNKNOWN, Capture, CapturedTurn, Light, Rest, State
 from undrift.errors import InputError
 from undrift.record import FACES, Axis, Face, Record, Still
 from undrift.segments import StillSettings, find_still, find_turns
@@ -62,15 +49,11 @@ class Guide(ABC):
     step: str  # name of a step
     order: tuple[str, ...]
 
-    def __init__(self, capture: Capture) -> None:
-        self.capture = capture
+    def __init__(self, capture: Capture, done: Mapping[str, Rest] | Mapping[str, CapturedTurn]) -> None:
+        self.capture, self.done = capture, done  # the latter: captured steps
         self.again: str | None = None  # that is to be captured once more
         self.light = Light(state="no readings", text="No readings. Connect a device.")
-
-    @property
-    @abstractmethod
-    def done(self) -> Mapping[str, CapturedSpan]:
-        """Return the captured steps."""
+        self._asked_s = -math.inf  # time at which a step was requested again: its countdown begins there
 
     @property
     def wanted(self) -> str | None:
@@ -86,7 +69,7 @@ class Guide(ABC):
         """Request a step again, or cancel the request with None. The earlier capture remains until it is replaced."""
         if step is not None and step not in self.order:
             raise InputError(f"redo: expected one of {', '.join(FACES)}, got '{step}'. Name a {self.step}.")
-        self.again = step
+        self.again, self._asked_s = step, self.capture.newest_s
 
     def update(self, record: Record | None, now_s: float, key: object = None) -> Light:
         """Process the newest readings and return the light."""
@@ -110,18 +93,7 @@ class SixFaces(Guide):
     step, order = "face", ORDER
 
     def __init__(self, capture: Capture) -> None:
-        super().__init__(capture)
-        self._asked = (-1, 0.0)  # stretch and time at which a face was asked for again: its countdown begins there
-
-    @property
-    def done(self) -> Mapping[str, CapturedFace]:
-        """Return the captured faces."""
-        return cast(Mapping[str, CapturedFace], self.capture.faces)
-
-    def redo(self, step: str | None) -> None:
-        """Request a face again, or cancel the request with None."""
-        super().redo(step)
-        self._asked = (self.capture.stretch, self.capture.newest_s)
+        super().__init__(capture, capture.faces)
 
     def _judge(self, rest: Rest | None) -> Light:
         wanted = self.wanted
@@ -137,8 +109,7 @@ class SixFaces(Guide):
                 return Light(state="captured", face=face, text="All six faces are captured.")
             state: State = "wrong face" if self.again else "captured"
             return Light(state=state, face=face, text=f"{face} is captured. {_turn(wanted)}")
-        fresh = self._asked[1] if self.again and self._asked[0] == self.capture.stretch else rest.start_s
-        rested_s = rest.stop_s - max(rest.start_s, fresh)
+        rested_s = rest.stop_s - max(rest.start_s, self._asked_s)
         if rested_s < SETTLE_S:
             return Light(state="settling", face=face, text=f"Settling, {face} up. Do not touch it.")
         left_s = SETTLE_S + COUNTDOWN_S - rested_s
@@ -159,13 +130,8 @@ class Poses(Guide):
     step, order = "pose", tuple(str(k + 1) for k in range(POSES))
 
     def __init__(self, capture: Capture) -> None:
-        super().__init__(capture)
-        self._ups, self._done = list[FloatArray](), dict[str, CapturedSpan]()
-
-    @property
-    def done(self) -> Mapping[str, CapturedSpan]:
-        """Return the captured poses by number."""
-        return self._done
+        self._poses, self._ups = dict[str, Rest](), list[FloatArray]()
+        super().__init__(capture, self._poses)
 
     def _judge(self, rest: Rest | None) -> Light:
         if self.complete:
@@ -180,16 +146,8 @@ class Poses(Guide):
         if rest.duration_s < REST_S:
             return Light(state="settling", text="Still. Do not touch it.", left_s=REST_S - rest.duration_s)
         self._ups.append(up)
-        span = CapturedSpan(stretch=self.capture.stretch, start_s=rest.start_s, stop_s=rest.stop_s)
-        self._done = {**self._done, str(len(self._ups)): span}
+        self._poses[str(len(self._ups))] = rest
         return Light(state="captured", text="Captured. Tilt it by 30 deg or more, any way.")
-
-
-@dataclass(frozen=True, slots=True)
-class _Before:
-    stretch: int
-    rest: Rest
-    face: Face | None
 
 
 class Turns(Guide):
@@ -198,30 +156,19 @@ class Turns(Guide):
     step, order = "turn", WAYS
 
     def __init__(self, capture: Capture) -> None:
-        super().__init__(capture)
+        super().__init__(capture, capture.turns)
         self.outcome = ""  # about the last turn
-        self._before: _Before | None = None
+        self._before: Rest | None = None  # the turn
         self._moved, self._unlike = False, 0.0  # the reading of the last turn that was not like the only one captured
-
-    @property
-    def done(self) -> Mapping[str, CapturedTurn]:
-        """Return the captured turns by direction."""
-        return {way_of(turn): turn for turn in self.capture.turns}
 
     @property
     def enough(self) -> bool:
         """Return True if each axis has a turn."""
         return {way[1] for way in self.done} == {"x", "y", "z"}
 
-    def update(self, record: Record | None, now_s: float, key: object = None) -> Light:
-        """Process the newest readings and return the light. After a silence, a turn starts again."""
-        light = super().update(record, now_s, key)
-        self._before = None if light.state == "no readings" else self._before
-        return light
-
     def _judge(self, rest: Rest | None) -> Light:
         before = self._before
-        if before is not None and before.stretch != self.capture.stretch:
+        if before is not None and before.stop_s < self.capture.whole_from_s:
             before = self._before = None
             self.outcome = GAP
         if rest is None:
@@ -234,7 +181,7 @@ class Turns(Guide):
             return Light(state="unknown face", text=UNKNOWN)
         if before is not None and self._moved:
             self.outcome = self._take_turn(before, rest)
-        self._before, self._moved = _Before(self.capture.stretch, rest, face), False
+        self._before, self._moved = rest, False
         state: State = "captured" if self.wanted is None else "tilted" if tilt_deg else "still"
         return Light(state=state, face=face, text=f"{self.outcome} {self._asked(face)}".strip())
 
@@ -244,9 +191,9 @@ class Turns(Guide):
             return "All turns are captured."
         return f"Turn it once {_seen(way)}." if face == f"+{way[1]}" else f"Lay it with +{way[1]} up."
 
-    def _take_turn(self, before: _Before, after: Rest) -> str:
+    def _take_turn(self, before: Rest, after: Rest) -> str:
         """Capture the turn between two rests, and return a message about the result."""
-        start_s = max(before.rest.start_s, before.rest.stop_s - 2.0 * REST_S)
+        start_s = max(before.start_s, before.stop_s - 2.0 * REST_S)
         if after.stop_s - start_s > LONGEST_S:
             return f"That took longer than {LONGEST_S:g} s."
         record = self.capture.tail(after.stop_s - start_s)
@@ -263,7 +210,7 @@ class Turns(Guide):
         if not turns.rotations:
             return "That was no turn."
         turn, reading = turns.rotations[0], turns.rotation_angle[0]
-        up, down = self.capture.up(before.rest)[0], self.capture.up(after)[0]
+        up, down = self.capture.up(before)[0], self.capture.up(after)[0]
         if up is None or down is None or not float(up @ down) > SAME_POSE:
             return ""  # laid on another face
         if turn.axis is None:
@@ -272,21 +219,15 @@ class Turns(Guide):
         count, reason = self._count_turns(turn.axis, along, record.gyro_unit)
         if not count:
             return reason
-        piece = CapturedTurn(
-            stretch=self.capture.stretch,
-            start_s=float(time[first.stop]),
-            stop_s=float(time[last.start]),
+        captured = CapturedTurn(
             turn=replace(turn, angle=count * FULL_TURN),
-            before=CapturedSpan(
-                stretch=self.capture.stretch, start_s=float(time[first.start]), stop_s=float(time[first.stop])
-            ),
-            after=CapturedSpan(stretch=self.capture.stretch, start_s=float(time[last.start]), stop_s=after.stop_s),
+            before=replace(before, start_s=float(time[first.start]), stop_s=float(time[first.stop])),
+            after=replace(after, start_s=float(time[last.start])),
             reading=along / count,
         )
-        self.capture.add_turn(piece)
-        way = way_of(piece)
-        self._captured(way)
-        return f"Captured: {named(way)}{'' if abs(count) == 1 else f', {abs(count)} turns'}."
+        self.capture.add_turn(captured)
+        self._captured(captured.way)
+        return f"Captured: {named(captured.way)}{'' if abs(count) == 1 else f', {abs(count)} turns'}."
 
     def _count_turns(self, axis: Axis, along: float, unit: str) -> tuple[int, str]:
         """Return the number of whole turns of a reading, or 0 and the reason."""
@@ -296,7 +237,7 @@ class Turns(Guide):
             if not count or abs(turns - count) > NEAR * abs(turns):
                 return 0, f"That was {abs(turns) * 360.0:.0f} deg. Turn by 360 deg, back to the mark."
             return count, ""
-        lengths = [abs(captured.reading) for captured in self.capture.turns]
+        lengths = [abs(captured.reading) for captured in self.capture.turns.values()]
         if len(lengths) == 1 and _like(along, self._unlike) and not _like(along, lengths[0]):
             self.capture.turns.clear()  # two turns agree and contradict the first, which was not a whole turn
         elif lengths and not _like(along, float(np.median(lengths))):
