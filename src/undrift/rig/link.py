@@ -221,7 +221,7 @@ class LinkedRig(Link):
 
     @abstractmethod
     def _come_to_rest(self) -> None:
-        """Put the link in step, with a question that has a unique answer. Then end the motion by all means."""
+        """Put the link in step with a question that has a unique answer. Then stop the axis, with an abort or reset if needed."""
 
     @abstractmethod
     def _ask_position(self) -> float:
