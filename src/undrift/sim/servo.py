@@ -46,11 +46,6 @@ class Servo:
         return math.floor(float(self._state[ANGLE]) * self.settings.counts_per_rad)
 
     @property
-    def moving(self) -> bool:
-        """Whether the reference moves: a turn, or the way to rest, is not over."""
-        return self.time < float(self._profile[-1, 0])
-
-    @property
     def error(self) -> float:
         """Commanded minus actual position, counts."""
         return float(self._state[ERROR])

@@ -19,9 +19,9 @@ settled at the start of a dwell, and does not change the mean. A level beyond th
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from functools import lru_cache
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -44,21 +44,10 @@ AXES_B = np.eye(3)
 ACROSS_B = np.stack((AXES_B[[1, 2, 0]], AXES_B[[2, 0, 1]]))  # two directions across each
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TableSession:
-    """N dwells of a session at room temperature."""
-
-    kind: IntArray  # (N,), FACE, REST or RATE
-    axis: IntArray  # (N,), axis of the case that points up and that the table turns about, 0 to 2
-    face: IntArray  # (N,), number of the face in FACES that points up
-    rate: FloatArray  # (N,), commanded about +axis, rad/s
-    start_s: FloatArray  # (N,), of the readings, s since power-on
-    duration_s: FloatArray  # (N,), of the readings, s
-
-    def chosen(self, *kinds: int) -> "TableSession":
-        """Return the dwells of some kinds."""
-        rows = np.isin(self.kind, kinds)
-        return TableSession(**{item.name: getattr(self, item.name)[rows] for item in fields(self)})
+# Dwells of a session at room temperature, one row each: kind is FACE, REST or RATE, axis (0 to 2) points up and is turned about,
+# face is the number in FACES, rate is commanded about +axis, rad/s. start_s (since power-on) and duration_s are of the readings.
+COLUMNS = "kind, axis, face, rate, start_s, duration_s"
+TableSession: TypeAlias = "np.recarray[Any, Any]"
 
 
 @lru_cache(maxsize=256)
@@ -73,42 +62,36 @@ def lay_out(protocol: Protocol) -> TableSession:
             starts.append(clock + step.ramp_s + step.settle_s)
         clock += step.duration_s
     kinds = {"face": FACE, "bracket": REST, "rate": RATE}
-    return TableSession(
-        kind=np.array([kinds[dwell.purpose] for dwell in dwells]),
-        axis=np.array(["xyz".index(dwell.up[1]) for dwell in dwells]),
-        face=np.array([FACES.index(dwell.up) for dwell in dwells]),
-        rate=np.array([dwell.turn_rate for dwell in dwells]),
-        start_s=np.array(starts),
-        duration_s=np.array([dwell.dwell_s for dwell in dwells]),
+    return np.rec.fromarrays(
+        (
+            np.array([kinds[dwell.purpose] for dwell in dwells]),
+            np.array(["xyz".index(dwell.up[1]) for dwell in dwells]),
+            np.array([FACES.index(dwell.up) for dwell in dwells]),
+            np.array([dwell.turn_rate for dwell in dwells]),
+            np.array(starts),
+            np.array([dwell.dwell_s for dwell in dwells]),
+        ),
+        names=COLUMNS,
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BenchDraws:
-    """Random numbers of a bench, the same for all its sessions, with U kinds of dwells."""
+    """Random numbers of a bench, the same for all its sessions, with six kinds of dwells per rate: normal, and start uniform.
 
-    mount: FloatArray  # (3, 3), normal, with a row per axis that is up
-    level: FloatArray  # (2,), normal
-    clock: float  # normal
-    face: FloatArray  # (6, 3), normal
-    wobble: FloatArray  # (U, 3), normal
-    servo: FloatArray  # (U,), normal
-    start: FloatArray  # (U, 2), from 0 to 1: phase of the encoder, azimuth
+    Each rate has its own generator, so that its draws do not depend on the other rates.
+    """
 
-
-def draw_bench(rng: np.random.Generator, turns: Sequence[np.random.Generator]) -> BenchDraws:
-    """Draw a bench. Each rate has its own generator, so that its draws do not depend on the other rates."""
-    draws = [(generator.standard_normal((6, 4)), generator.uniform(size=(6, 2))) for generator in turns]
-    normals, start = (np.concatenate(arrays) for arrays in zip(*draws, strict=True))
-    return BenchDraws(  # in the order of the draws
-        mount=rng.standard_normal((3, 3)),
-        level=rng.standard_normal(2),
-        clock=float(rng.standard_normal(1)[0]),
-        face=rng.standard_normal((6, 3)),
-        wobble=normals[:, :3],
-        servo=normals[:, 3],
-        start=start,
-    )
+    def __init__(self, rng: np.random.Generator, turns: Sequence[np.random.Generator]) -> None:
+        draws = [(generator.standard_normal((6, 4)), generator.uniform(size=(6, 2))) for generator in turns]
+        normals, self.start = (
+            np.concatenate(arrays) for arrays in zip(*draws, strict=True)
+        )  # phase of encoder, azimuth
+        self.wobble, self.servo = normals[:, :3], normals[:, 3]
+        self.mount, self.level = (
+            rng.standard_normal((3, 3)),
+            rng.standard_normal(2),
+        )  # a row of mount per axis that is up
+        self.clock, self.face = float(rng.standard_normal(1)[0]), rng.standard_normal((6, 3))
 
 
 class ImposedDwells(NamedTuple):

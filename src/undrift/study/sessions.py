@@ -46,7 +46,7 @@ from undrift.sim.table_sessions import (
     FACE,
     RATE,
     REST,
-    draw_bench,
+    BenchDraws,
     impose_faces,
     impose_turns,
     lay_out,
@@ -233,7 +233,7 @@ def calibrate_by_means(
 ) -> Calibration:
     """Fit a session at room temperature with dwells simulated as means (sim/table_sessions.py). Dwells share their errors."""
     layout = lay_out(protocol)
-    faces, turns = layout.chosen(FACE), layout.chosen(REST, RATE)
+    faces, turns = layout[layout.kind == FACE], layout[layout.kind != FACE]
     size = np.round(np.abs(turns.rate) / KEY_STEP)
     keys = np.unique(size[size > 0.0])
     second = turns.rate < 0.0
@@ -241,7 +241,7 @@ def calibrate_by_means(
     block = np.where(size > 0.0, np.searchsorted(keys, size) + 1, 0)
     row = 6 * block + 2 * turns.axis + second
     every, width = (0, *keys.astype(int).tolist()), numbers_of_dwell(device.gyro)
-    draws = draw_bench(streams("bench"), [streams(f"turn {key}") for key in every])
+    draws = BenchDraws(streams("bench"), [streams(f"turn {key}") for key in every])
     normals = np.concatenate([streams(f"noise {key}").standard_normal((6, 3, width)) for key in every])
     dwells, read_rate = impose_turns(turns, errors, draws, row)
     reading = mean_readings(device, "gyro", dwells, normals, row)

@@ -1,5 +1,6 @@
 """Tasks: derivatives that belong together, draws, categories, cohorts, and the sway of quiet stance."""
 
+from functools import partial
 from typing import get_args
 
 import numpy as np
@@ -12,7 +13,6 @@ from undrift.sim.motion.tasks import (
     CATEGORIES,
     GROUP_SIZE,
     TABLE_2,
-    Balance,
     CategoryName,
     Group,
     Performance,
@@ -20,6 +20,7 @@ from undrift.sim.motion.tasks import (
     cohort,
     draw_sway,
     draw_task,
+    sway_spectrum,
 )
 
 PARTS: dict[str, CourseTerm] = {
@@ -159,5 +160,5 @@ def test_a_quantity_keeps_its_bounds_its_mean_and_a_persons_habit() -> None:
 
 
 def test_sway_has_the_wanted_rms() -> None:
-    sway = draw_sway(np.random.default_rng(0), Balance(centre_height=0.9), rms=0.016, span=(0.0, 50.0))
+    sway = draw_sway(np.random.default_rng(0), partial(sway_spectrum, centre_height=0.9), rms=0.016, span=(0.0, 50.0))
     assert np.std(sway.at(np.arange(0.0, 50.0, 0.05))[0]) == pytest.approx(0.016, rel=0.01)

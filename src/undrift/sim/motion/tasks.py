@@ -39,7 +39,9 @@ bounds of the note's Table 1. Other categories use them for missing quantities. 
 
 import math
 import tomllib
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias, cast, get_args
 
@@ -137,34 +139,35 @@ def _euler_rate(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> tuple[F
 BAND_HZ = (0.015, 2.5)
 LINES = 48
 SWELL_S = 2.5
+Spectrum = Callable[[FloatArray], FloatArray]
 GYRATION = 1.147  # J / (m h^2) of 66 kg m2, 76 kg, 0.87 m [known-low]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Balance:
-    """A controller of stance."""
-
-    centre_height: float  # Height of the body's centre over the ankles, m
-    kp: float = 1.45  # [known-low] 1.1-1.7
-    kd: float = 0.40  # [known-low] 4-5 Nm s/deg over 649 Nm
-    ki: float = 0.05  # [assumed]
-    delay_s: float = 0.17  # [known-low]
-    noise_s: float = 1.5  # [assumed] so that rate over angle comes out as 1.2 / 0.9 rad/s
+# controller of stance, gains in m g h
+PROPORTIONAL, DERIVATIVE, INTEGRAL = (
+    1.45,
+    0.40,
+    0.05,
+)  # [known-low] 1.1-1.7; [known-low] 4-5 Nm s/deg over 649 Nm; [assumed]
+DELAY_S = 0.17  # [known-low]
+NOISE_S = 1.5  # time constant of the torque's noise [assumed] so that rate over angle comes out as 1.2 / 0.9 rad/s
 
 
-def sway_spectrum(balance: Balance, frequency_hz: FloatArray) -> FloatArray:
-    """Return the power spectral density of the angle, up to a constant: frequency_hz (N,) Hz -> (N,)."""
+def sway_spectrum(
+    frequency_hz: FloatArray, centre_height: float, kp: float = PROPORTIONAL, noise_s: float = NOISE_S
+) -> FloatArray:
+    """Return the power spectral density (N,) of the angle, up to a constant, with the body's centre so high over the ankles, m."""
     s = 2.0j * math.pi * frequency_hz
-    torque = (balance.kp + balance.kd * s + balance.ki / s) * np.exp(-s * balance.delay_s)
-    pendulum = GYRATION * balance.centre_height / STANDARD_GRAVITY * s * s - 1.0
-    return np.asarray(np.abs((pendulum + torque) * (1.0 + balance.noise_s * s)) ** -2)
+    torque = (kp + DERIVATIVE * s + INTEGRAL / s) * np.exp(-s * DELAY_S)
+    pendulum = GYRATION * centre_height / STANDARD_GRAVITY * s * s - 1.0
+    return np.asarray(np.abs((pendulum + torque) * (1.0 + noise_s * s)) ** -2)
 
 
-def draw_sway(draw: np.random.Generator, balance: Balance, *, rms: float, span: tuple[float, float]) -> Sway:
-    """Draw a stretch of sway, rad, as sinusoids."""
+def draw_sway(draw: np.random.Generator, spectrum: Spectrum, *, rms: float, span: tuple[float, float]) -> Sway:
+    """Draw a stretch of sway, rad, as sinusoids with a spectrum over frequency, Hz."""
     edges = np.geomspace(*BAND_HZ, LINES + 1)
     frequencies = edges[:-1] + np.diff(edges) * draw.uniform(size=LINES)
-    amplitudes = np.sqrt(sway_spectrum(balance, frequencies) * np.diff(edges)) * draw.rayleigh(size=LINES)
+    amplitudes = np.sqrt(spectrum(frequencies) * np.diff(edges)) * draw.rayleigh(size=LINES)
     phases = draw.uniform(0.0, 2.0 * math.pi, LINES)
     plain = Sway(tuple(amplitudes.tolist()), tuple(frequencies.tolist()), tuple(phases.tolist()), *span, SWELL_S)
     scale = rms / float(np.std(plain.at(np.arange(span[0], span[1], 0.1 / BAND_HZ[1]))[0]))
@@ -208,7 +211,7 @@ class Category:
     upright_deg: Spread = (3.0, 2.0, -3.0, 9.0)  # Its pitch, deg
     # stiffness in m g h, which sets the spectrum together with noise_s
     stiffness_mgh: Spread = (1.45, 0.08, 1.25, 1.6)
-    noise_s: Annotated[float, Gt(0.0)] = 1.5  # Time constant of the torque's noise, s
+    noise_s: Annotated[float, Gt(0.0)] = NOISE_S  # Time constant of the torque's noise, s
 
     def __post_init__(self) -> None:
         for name in Category.__dataclass_fields__:
@@ -493,9 +496,8 @@ def _posturography(who: Performance, rest_s: float) -> Task:
     arm = 0.54 * who.height
     numbers = who.category
     older = 1.0 + 0.01 * who.older  # [assumed] sway rises by a per cent a year
-    balance = Balance(
-        centre_height=arm, kp=who.number("stance stiffness", *numbers.stiffness_mgh), noise_s=numbers.noise_s
-    )
+    kp = who.number("stance stiffness", *numbers.stiffness_mgh)
+    spectrum = partial(sway_spectrum, centre_height=arm, kp=kp, noise_s=numbers.noise_s)
     pitch, roll, yaw = (
         who.number(f"sway {name}", *spread) * older * DEGREE
         for name, spread in zip(("pitch", "roll", "yaw"), numbers.sway_deg, strict=True)
@@ -504,12 +506,12 @@ def _posturography(who: Performance, rest_s: float) -> Task:
         name="posturography",
         duration_s=span[1] + rest_s,
         moving_s=span,
-        roll=(draw_sway(who.draw, balance, rms=roll, span=span),),
+        roll=(draw_sway(who.draw, spectrum, rms=roll, span=span),),
         pitch=(
             Step(-2.0, 1.0, who.number("stance pitch", *numbers.upright_deg) * DEGREE),
-            draw_sway(who.draw, balance, rms=pitch, span=span),
+            draw_sway(who.draw, spectrum, rms=pitch, span=span),
         ),
-        yaw=(draw_sway(who.draw, balance, rms=yaw, span=span),),
+        yaw=(draw_sway(who.draw, spectrum, rms=yaw, span=span),),
         arm_b=(0.0, 0.0, arm),
     )
 
