@@ -12,7 +12,7 @@ import sys
 import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
 
@@ -119,22 +119,18 @@ def too_large(path: Path) -> FileFormatError:
 
 
 @contextmanager
-def sound(path: Path, kind: str = "") -> Iterator[None]:
+def sound(path: Path, kind: str) -> Iterator[None]:
     """Convert any exception that a library raises on a damaged file into a one-line error."""
     try:
         yield
     except MemoryError as error:
         raise too_large(path) from error
     except Exception as error:
-        if (
-            isinstance(error, UndriftError if kind else UndriftError | OSError)
-            or os.environ.get("UNDRIFT_TRACEBACK") == "1"
-        ):
+        if isinstance(error, UndriftError) or os.environ.get("UNDRIFT_TRACEBACK") == "1":
             raise
-        wanted, got, why = f"a sound {kind} file", "a damaged or truncated file", first_line(error)
-        if not kind:
-            wanted, got, why = "a sound file", "a damaged file", f"{type(error).__name__}: {why}"
-        raise FileFormatError(f"{path}: expected {wanted}, got {got} ({why}). Copy it again.") from error
+        raise FileFormatError(
+            f"{path}: expected a sound {kind} file, got a damaged or truncated file ({first_line(error)}). Copy it again."
+        ) from error
 
 
 def bytes_in(path: Path) -> int:
@@ -173,31 +169,34 @@ def write_together(files: Mapping[Path, Content]) -> None:
 
     A function as content receives the path to write to.
     """
-    parts: dict[Path, Path | None] = dict.fromkeys(files)
-    try:
+    with ExitStack() as drafts:
         for path, content in files.items():
             if content is None:
                 continue
-            parts[path] = draft = new_part(path)
+            draft = drafts.enter_context(new_file(path))
             if callable(content):
-                call_writer(content, draft)
+                try:
+                    content(draft)
+                except InputError as error:  # names the draft
+                    raise (error.__cause__ if isinstance(error.__cause__, OSError) else error) from None
             else:
                 draft.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
-            with draft.open("r+b") as file:
-                os.fsync(file.fileno())
-        take_names(parts)
-    except OSError as error:
-        raise unwritten(path, error) from error
-    finally:
-        for draft in filter(None, parts.values()):
-            draft.unlink(missing_ok=True)
+            synchronise(draft)
+    for path in (path for path, content in files.items() if content is None):
+        try:
+            path.unlink(missing_ok=True)
+        except OSError as error:
+            raise unwritten(path, error) from error
 
 
-def new_part(path: Path) -> Path:
-    """Create an empty temporary file next to a path. The caller renames it to the path when it is complete.
+@contextmanager
+def new_file(path: Path) -> Iterator[Path]:
+    """Yield an empty temporary file next to a path. It takes the name at the end of the block, complete on the disk.
 
-    Its mode is copied from the file that it replaces. Without such a file, the umask determines the mode.
+    If the block fails, it is deleted. Its mode is copied from the file that it replaces, or follows the umask.
     """
+    if path.is_dir():
+        raise unwritten(path, IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR)))
     draft = path.with_name(f".{path.name[:40]}.{secrets.token_hex(4)}.part")
     try:
         os.close(os.open(draft, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
@@ -205,27 +204,20 @@ def new_part(path: Path) -> Path:
             draft.chmod(stat.S_IMODE(path.stat().st_mode))
     except OSError as error:
         raise no_folder(path, error) from error
-    return draft
-
-
-def call_writer(write: Callable[[Path], object], path: Path) -> None:
-    """Call a function that writes a file. An InputError caused by an OSError is replaced by the OSError."""
     try:
-        write(path)
-    except InputError as error:
-        raise (error.__cause__ if isinstance(error.__cause__, OSError) else error) from None
+        yield draft
+        synchronise(draft)
+        draft.replace(path)
+    except OSError as error:
+        raise unwritten(path, error) from error
+    finally:
+        draft.unlink(missing_ok=True)
 
 
-def take_names(parts: Mapping[Path, Path | None]) -> None:
-    """Rename finished files (name: file). A name without a file is deleted. If a name is a folder, IsADirectoryError is raised."""
-    for path in parts:
-        if path.is_dir():
-            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
-    for path, draft in parts.items():
-        if draft is None:
-            path.unlink(missing_ok=True)
-        else:
-            draft.replace(path)
+def synchronise(path: Path) -> None:
+    """Flush a file to the disk."""
+    with path.open("r+b") as file:
+        os.fsync(file.fileno())
 
 
 def errno_of(error: OSError) -> int | None:
@@ -259,36 +251,28 @@ def unwritten(path: Path, error: OSError) -> InputError:
 
 
 @contextmanager
-def hidden_folder(beside: Path) -> Iterator[Path]:
-    """Create a temporary folder for files that appear together once complete. Folders of killed runs are deleted after a day."""
-    for stale in beside.glob(f"{_HIDDEN}*"):
-        with suppress(FileNotFoundError):  # another process may delete its folder at the same time
-            if stale.stat().st_mtime < time.time() - _STALE_S:
-                shutil.rmtree(stale, ignore_errors=True)
-    folder = (
-        beside / f"{_HIDDEN}{secrets.token_hex(8)}"
-    )  # named before it is created, so that a signal in between leaves nothing
-    try:
-        folder.mkdir(mode=0o700)
-        yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-@contextmanager
 def new_folder(folder: Path) -> Iterator[Path]:
-    """Yield a hidden draft of a new folder. It gets its name at the end of the block, all of it or nothing."""
+    """Yield a hidden draft of a new folder. It gets its name at the end of the block, all of it or nothing.
+
+    Drafts of killed runs are deleted after a day.
+    """
     if folder.exists():
         raise InputError(f"{folder}: the folder exists already. Choose another name.")
     if not folder.parent.is_dir():
         raise InputError(f"{folder}: the folder {folder.parent} does not exist. Create it first.")
+    for stale in folder.parent.glob(f"{_HIDDEN}*"):
+        with suppress(FileNotFoundError):  # another process may delete its folder at the same time
+            if stale.stat().st_mtime < time.time() - _STALE_S:
+                shutil.rmtree(stale, ignore_errors=True)
+    hidden = folder.parent / f"{_HIDDEN}{secrets.token_hex(8)}"  # named first: a signal in between leaves nothing
     try:
-        with hidden_folder(folder.parent) as hidden:
-            draft = hidden / folder.name
-            yield draft
-            draft.rename(folder)
+        hidden.mkdir(mode=0o700)
+        yield hidden / folder.name
+        (hidden / folder.name).rename(folder)
     except OSError as error:
         raise no_folder(folder, error) from error
+    finally:
+        shutil.rmtree(hidden, ignore_errors=True)
 
 
 def take_lock(handle: int, wait_s: float = 2.0) -> None:

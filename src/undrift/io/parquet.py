@@ -8,17 +8,16 @@ byte is refused. Files of any size are read and written in chunks of constant me
 """
 
 import json
-import os
 import zlib
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 from undrift.errors import FileFormatError, InputError
-from undrift.files import MOST_BYTES, checked_file, first_line, new_part, sound, too_large, unwritten
+from undrift.files import MOST_BYTES, checked_file, first_line, new_file, sound, too_large
 from undrift.io.column_map import READ_SETTINGS, ColumnMap, native_map
 from undrift.io.columns import FORMAT, KIND, RawTable, build_record, marks_of, native_columns, read_marks
 from undrift.record import Record
@@ -74,9 +73,8 @@ class ParquetWriter:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self._part: Path | None = None
+        self._stack = ExitStack()  # the new file, its sink and its writer
         self._writer: Any = None
-        self._sink: Any = None
         self._schema: Any = None
         self._last = float("-inf")
 
@@ -86,21 +84,7 @@ class ParquetWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        try:
-            if self._writer is not None:
-                with _writing(self.path) if kind is None else suppress(OSError):
-                    self._writer.close()
-                    self._sink.close()
-                    if kind is None and self._part is not None:
-                        with self._part.open("r+b") as file:
-                            os.fsync(file.fileno())
-                        self._part.replace(self.path)
-        finally:
-            if self._sink is not None:  # a writer that fails leaves it open, and its room on the disk taken
-                with suppress(OSError):
-                    self._sink.close()
-            if self._part is not None:
-                self._part.unlink(missing_ok=True)
+        self._stack.__exit__(kind, error, trace)
 
     def write(self, record: Record) -> None:
         """Append a chunk."""
@@ -115,11 +99,9 @@ class ParquetWriter:
         metadata[_CRC] = _crc(names, metadata[_KEY])
         schema = pa.schema([(name, pa.float64()) for name in names], metadata=metadata)
         if self._writer is None:
-            self._part = new_part(self.path)
-            with _writing(self.path):
-                self._sink = pa.OSFile(str(self._part), "wb")
-                how = {"write_page_checksum": True, "write_statistics": ["time_s"]}  # other rows are found by time only
-                self._writer = pq.ParquetWriter(self._sink, schema, use_dictionary=False, **how)
+            sink = self._stack.enter_context(pa.OSFile(str(self._stack.enter_context(new_file(self.path))), "wb"))
+            how = {"write_page_checksum": True, "write_statistics": ["time_s"]}  # other rows are found by time only
+            self._writer = self._stack.enter_context(pq.ParquetWriter(sink, schema, use_dictionary=False, **how))
             self._schema = schema
         if not schema.equals(self._schema, check_metadata=True):
             raise InputError(
@@ -132,8 +114,7 @@ class ParquetWriter:
             )
         self._last = float(record.time[-1])
         table = pa.Table.from_arrays([pa.array(column) for column in columns], schema=schema)
-        with _writing(self.path):
-            self._writer.write_table(table)
+        self._writer.write_table(table)
 
 
 def parquet_rows(path: str | Path) -> int:
@@ -156,14 +137,6 @@ def read_parquet_table(path: str | Path) -> RawTable:
 
 def _names(handle: Any) -> tuple[str, ...]:
     return tuple(handle.schema_arrow.names)
-
-
-@contextmanager
-def _writing(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise unwritten(path, error) from error
 
 
 def _open(path: str | Path, *, stream: bool = False) -> Any:
