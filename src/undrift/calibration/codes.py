@@ -234,11 +234,6 @@ def rounding_correlation(distance: FloatArray, spread: FloatArray, share: FloatA
     return np.asarray(cosines / np.maximum(weights, 1e-300))
 
 
-def scatter_of_readings(windows: Sequence[FloatArray]) -> FloatArray:
-    """Return the variance S (3,) of single readings in windows (N, 3): half the variance of successive differences."""
-    return np.asarray(np.mean([0.5 * np.diff(window, axis=0).var(axis=0) for window in windows], axis=0))
-
-
 def mean_rounding(values: Sequence[FloatArray], rests: Sequence[FloatArray]) -> FloatArray:
     """Return the standard deviation (3,) of a mean at rest due to rounding, from all readings and those at rest, (N, 3) each."""
     return np.sqrt(code_variance(_steps(values), np.mean([rest.var(axis=0) for rest in rests], axis=0), rests))

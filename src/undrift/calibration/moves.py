@@ -41,7 +41,7 @@ from undrift.calibration.sources import (
 from undrift.errors import NotObservable, PoorFit
 from undrift.fit.gls import GlsFit, Prior, carried, solve
 from undrift.fit.priors import G_SENSITIVITY, GYRO_FLICKER, REST_DRIFT, UNCERTAIN_PERCENT
-from undrift.fit.triad import TriadFit, TriadParameters, fit_of, parameter_names
+from undrift.fit.triad import TriadFit, TriadParameters, fit_of, parameter_names, weakest_parameters
 from undrift.frames import rotation
 from undrift.model import MATRIX_NAMES, TriadModel
 from undrift.record import Record, Still
@@ -451,16 +451,13 @@ def _rms_deg(problem: _Problem, rows: _Rows) -> float:
 def _check_determined(matrix_slopes: FloatArray, matrix: FloatArray) -> None:
     """Raise if a relative gain E of M = (1 + E) M turns gravity in no move, for the slopes (2 J, 9) of the angles."""
     gain = (matrix_slopes.reshape(-1, 3, 3) @ matrix.T).reshape(-1, 9)
-    _, singular, right = np.linalg.svd(gain, full_matrices=False)
-    singular = singular / np.sqrt(len(gain))
-    if singular[-1] < WEAKEST_TURN:
-        share = np.linalg.norm(right[singular < WEAKEST_TURN], axis=0)
-        names = tuple(name for name, s in zip(MATRIX_NAMES, share, strict=True) if s > 0.3 * share.max())
+    weakest, names = weakest_parameters(gain, len(gain), WEAKEST_TURN, MATRIX_NAMES)
+    if weakest < WEAKEST_TURN:
         raise NotObservable(
             f"multi-position gyro: expected moves that turn gravity by {WEAKEST_TURN:g} rad or more per unit of every parameter, "
-            f"got {singular[-1]:.2g} for {parameter_names(names)}. Turn the device by 90 deg or more about each axis in turn while "
+            f"got {weakest:.2g} for {parameter_names(names)}. Turn the device by 90 deg or more about each axis in turn while "
             "that axis is level.",
-            weakest=float(singular[-1]),
+            weakest=weakest,
             parameters=names,
         )
 

@@ -149,10 +149,14 @@ class AxisNoise:
     quantization: NoiseCoefficient  # Q, of the angle (velocity)
     model_error: float  # share of the Allan variance by which the curve departs from the model
 
-    def terms(self, taus_s: FloatArray) -> dict[str, FloatArray]:
-        """Return the observable terms of the Allan variance, by name."""
-        shapes = zip(_ROWS, _shapes(taus_s).T, strict=True)
-        return {name: np.nan_to_num(getattr(self, name).value) ** 2 * shape for name, shape in shapes}
+    def terms(self, taus_s: FloatArray, *, limits: bool = False) -> dict[str, FloatArray]:
+        """Return the terms of the Allan variance, by name: 0, or with ``limits`` its upper limit, if a term is not observable."""
+        variances = dict[str, FloatArray]()
+        for name, shape in zip(_ROWS, _shapes(taus_s).T, strict=True):
+            coefficient: NoiseCoefficient = getattr(self, name)
+            unknown = coefficient.interval[1] if limits else 0.0
+            variances[name] = (unknown if np.isnan(coefficient.value) else coefficient.value) ** 2 * shape
+        return variances
 
     def angle_uncertainty(self, tau_s: float) -> dict[str, float]:
         """Return the standard uncertainty of an angle by term, rad, if a gyroscope's offset is a mean over a rest.
@@ -160,13 +164,8 @@ class AxisNoise:
         The rest lasts tau as the motion, and ends where it begins. The two means differ by sqrt(2) sigma(tau), by definition of
         the Allan deviation, so u = tau sqrt(2) sigma(tau). A term that is not observable counts with its upper limit.
         """
-        shapes = dict(zip(_ROWS, _shapes(np.array([tau_s]))[0].tolist(), strict=True))
-        uncertainty = dict[str, float]()
-        for name in _NAMES:
-            coefficient: NoiseCoefficient = getattr(self, name)
-            size = coefficient.interval[1] if np.isnan(coefficient.value) else coefficient.value
-            uncertainty[name] = float(tau_s * np.sqrt(2.0 * shapes[name]) * size)
-        return uncertainty
+        terms = self.terms(np.array([tau_s]), limits=True)
+        return {name: float(tau_s * np.sqrt(2.0 * terms[name][0])) for name in _NAMES}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

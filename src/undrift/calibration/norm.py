@@ -38,7 +38,7 @@ from undrift.calibration.sources import Creep, uncertain
 from undrift.errors import NotObservable, PoorFit
 from undrift.findings import Finding, above, finding, told_apart
 from undrift.fit.gls import NORMAL_95, GlsFit, Prior, carried, solve
-from undrift.fit.triad import TriadFit, TriadParameters, fit_of, parameter_names, scaled_condition
+from undrift.fit.triad import TriadFit, TriadParameters, fit_of, parameter_names, scaled_condition, weakest_parameters
 from undrift.model import AXES
 from undrift.segments import sphere_of
 from undrift.units import STANDARD_GRAVITY, canonical_unit, is_physical, si_factor
@@ -48,7 +48,6 @@ NAMES = (*(f"m_{AXES[i]}{AXES[j]}" for i, j in zip(ROW, COLUMN, strict=True)), *
 CROSS = np.array([1, 2, 4])  # indices of m_xy, m_xz, m_yz in p
 SEEN = np.array([0, 1, 2, 4, 5, 8, 9, 10, 11])  # place of each p among m_xx .. m_zz, offset_x ..
 WEAKEST = 0.02  # smallest rms change of length, in g, per unit of a determined parameter (random poses reach 0.25)
-PART = 0.3  # share in a combination of parameters from which a parameter belongs to it
 KEPT = 0.3  # share of the prior deviation above which the poses did not determine a cross-axis term
 QUADRATIC_SD = 2e-4  # s_q, 1/(m/s2): MPU-6050, ICM-20948 and BMI160 state 0.5 % of the range, 2.5e-4 for 2 g
 # descent: steps, relative step at convergence, parameters that diverge
@@ -207,12 +206,8 @@ def _check_determined(v: FloatArray, p: FloatArray, gravity: float, *, with_prio
     size, count = np.array([gravity] * 6 + [1.0] * 3), len(v)
     prior_rows = np.sqrt(count) * size * np.eye(9)[CROSS[: 3 * with_prior]]
     design = np.vstack((_linearised(v, p, gravity)[0], prior_rows))
-    _, singular, right = np.linalg.svd(design / size, full_matrices=False)
-    weak = np.append(np.flatnonzero(singular < WEAKEST * np.sqrt(count)), len(singular) - 1)
-    weakest = float(singular[-1] / np.sqrt(count)) if len(design) >= 9 else 0.0
+    weakest, names = weakest_parameters(design / size, count, WEAKEST, NAMES)
     if weakest < WEAKEST:
-        share = np.linalg.norm(right[weak], axis=0)
-        names = tuple(NAMES[i] for i in np.flatnonzero(share > PART * share.max()))
         raise NotObservable(
             f"multi-position: expected poses that change the length by {WEAKEST:g} g or more per unit of every parameter, got "
             f"{weakest:.2g} for {parameter_names(names)}. {_advice((v - p[6:]) @ _upper(p).T, names)}",

@@ -190,12 +190,8 @@ def _excess(dwells: DwellMeans) -> dict[str, FloatArray]:
     if dwells.noise is None:
         return {"noise": np.ones(dwells.reading.size)}
     along = (dwells.axis_b * dwells.turn_rate[:, None]).ravel()
-    return {"mounting wobble": _rate_across(dwells) ** 2, "ripple": along**2} | walks_of(dwells.span)
-
-
-def _rate_across(dwells: DwellMeans) -> FloatArray:
-    """Return the rate of each dwell in the two rows across its axis, (3 N,), with 0 along it and at rest."""
-    return np.asarray(((1.0 - dwells.axis_b) * dwells.turn_rate[:, None]).ravel())
+    across = ((1.0 - dwells.axis_b) * dwells.turn_rate[:, None]).ravel()
+    return {"mounting wobble": across**2, "ripple": along**2} | walks_of(dwells.span)
 
 
 # ---- findings

@@ -123,11 +123,6 @@ def spans_of(records: Sequence[Record], pieces: Sequence[Still | Turn]) -> Float
     return np.array(ends).reshape(-1, 2)
 
 
-def middles(records: Sequence[Record], pieces: Sequence[Still | Turn]) -> FloatArray:
-    """Return the middle of each stretch (P,), s, on that clock."""
-    return np.asarray(spans_of(records, pieces).mean(axis=1))
-
-
 # ---- what a session contains
 
 

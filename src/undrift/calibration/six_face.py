@@ -171,15 +171,11 @@ def polynomial_filter(values: FloatArray, degree: int) -> tuple[FloatArray, Floa
 
 
 def _check(poses: FaceMeans, gravity: float, mode: Mode) -> None:
-    if len(poses.faces) < 5:
-        count = len(poses.faces)
-        raise NotObservable(
-            f"expected 5 labelled faces or more, got {count}. Record the missing faces.", count=count, needed=5
-        )
-    if is_physical(poses.unit):
-        check_gravity(poses.reading * si_factor(poses.unit, "accel"), gravity)
-    check_faces(poses.reading, poses.faces)
     missing = missing_faces(poses.faces)
+    if len(poses.faces) >= 5:
+        if is_physical(poses.unit):
+            check_gravity(poses.reading * si_factor(poses.unit, "accel"), gravity)
+        check_faces(poses.reading, poses.faces)
     if len(missing) > (0 if mode == "paper" else 1):
         raise NotObservable(
             f"six faces: expected all six, got none for {', '.join(missing)}. Record the missing faces.",

@@ -21,7 +21,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray
 from undrift.calibration.quality import piece_temperatures
-from undrift.calibration.session import ONE_TEMPERATURE, Observed, middles
+from undrift.calibration.session import ONE_TEMPERATURE, Observed, spans_of
 from undrift.calibration.settings import CalibrateSettings
 from undrift.findings import Finding, above, finding, told_apart
 from undrift.fit.gls import GlsFit
@@ -198,7 +198,8 @@ def _warmth(observed: Observed, pieces: Sequence[Still | Turn]) -> FloatArray:
     if not session_pieces:
         return np.zeros(len(pieces))
     all_pieces, count = (*session_pieces, *pieces), len(session_pieces)
-    time, temps = middles(observed.session.records, all_pieces), piece_temperatures(observed.session, all_pieces)
+    time = spans_of(observed.session.records, all_pieces).mean(axis=1)
+    temps = piece_temperatures(observed.session, all_pieces)
     warmth: FloatArray = np.nan_to_num(temps - observed.mean_temperature())
     has_set_point = np.array([piece.temp_c is not None for piece in all_pieces])
     least_k = prior.unrecorded_span_k

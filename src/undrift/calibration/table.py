@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from undrift.arrays import FloatArray, IntArray
-from undrift.calibration.codes import code_steps, code_variance, mean_rounding, scatter_of_readings
+from undrift.calibration.codes import code_steps, code_variance, mean_rounding
 from undrift.calibration.plausibility import check_range
 from undrift.calibration.quality import steady
 from undrift.calibration.session import spans_of
@@ -104,7 +104,8 @@ def dwell_means(
     sizes = [block_size(record.sample_rate_hz) for record in records]
     noise = noise_of_means(windows, [sizes[t.recording] for t in turns])
     step = code_steps([records[k] for k in {t.recording for t in turns}], rate=True)
-    codes = code_variance(step, scatter_of_readings(windows))
+    # half the variance of successive differences is that of a single reading
+    codes = code_variance(step, np.mean([0.5 * np.diff(window, axis=0).var(axis=0) for window in windows], axis=0))
     return DwellMeans(
         reading=np.array([w.mean(axis=0) for w in smooth]),
         turn_rate=np.array([t.turn_rate for t in turns], float),

@@ -102,6 +102,9 @@ def prepared(steps: RateSteps, model: TriadModel, *, static: StaticDrift | None)
         raise NotObservable(
             "rate steps: no axis was turned at two rates in a soak. Turn about each axis in both directions."
         )
+    offset: FloatArray = np.tile(model.offset, (len(usable), 1))
+    if static is not None and static.gyro_offset is not None:
+        offset = interpolated(usable.temp_c, static.temp_c, static.gyro_offset)
     lost = int((~finite).sum() + (~rows).sum())
     left_out = (
         f"{lost} of {len(steps)} rate steps were left out: they have gaps, a single rate in a soak, or an axis between the axes of "
@@ -114,7 +117,7 @@ def prepared(steps: RateSteps, model: TriadModel, *, static: StaticDrift | None)
         axis=axis,
         temp_c=usable.temp_c,
         rate_b=usable.rate_b,
-        gyro=usable.gyro - _offset_at(usable.temp_c, model, static),
+        gyro=usable.gyro - offset,
         gyro_variance=np.maximum(
             known_variance(usable.gyro_variance), (LEAST_DIGIT * np.abs(usable.gyro).max(axis=0)) ** 2
         ),
@@ -125,13 +128,6 @@ def prepared(steps: RateSteps, model: TriadModel, *, static: StaticDrift | None)
 def _number_groups(*keys: IntArray) -> IntArray:
     """Return the number of each combination of keys, (n,)."""
     return np.unique(np.column_stack(keys), axis=0, return_inverse=True)[1].reshape(-1)
-
-
-def _offset_at(temp_c: FloatArray, model: TriadModel, static: StaticDrift | None) -> FloatArray:
-    """Return the gyroscopes' offset at temperatures (n,), (n, 3): from the table, or the constant."""
-    if static is None or static.gyro_offset is None:
-        return np.tile(model.offset, (len(temp_c), 1))
-    return interpolated(temp_c, static.temp_c, static.gyro_offset)
 
 
 def measured_rate(reading: FloatArray, temp_c: FloatArray, model: TriadModel, scale: ScaleDrift | None) -> FloatArray:

@@ -115,7 +115,8 @@ def solve(
         shapes=tuple(shapes.values()),
     )
     variances, state = _excess_variances(rows, None if start is None else np.array([start[kind] for kind in shapes]))
-    freedom = [_degrees(_times(state.projector, shape)) for shape in rows.shapes]
+    products = [_times(state.projector, shape) for shape in rows.shapes]  # P E_j
+    freedom = [float(np.trace(a) ** 2 / max(float((a * a.T).sum()), 1e-300)) for a in products]
     gains = state.gains / length[:, None]
     for (kind, shape), variance, nu in zip(shapes.items(), variances, freedom, strict=True):
         source = kind.partition(" ")[0]
@@ -353,11 +354,6 @@ def _bounded_step(variances: FloatArray, score: FloatArray, information: FloatAr
     root = np.sqrt(size.clip(RANK * size[-1]))  # scaled = R' R, R = diag(root) vectors'
     target = scaled @ (variances * length) + score / length
     return np.asarray(nnls(root[:, None] * vectors.T, vectors.T @ target / root)[0] / length - variances)
-
-
-def _degrees(product: FloatArray) -> float:
-    """Return the degrees of freedom tr(P E_j)^2 / tr(P E_j P E_j) for the product P E_j."""
-    return float(np.trace(product) ** 2 / max(float((product * product.T).sum()), 1e-300))
 
 
 # ---- excess variance: what the residuals show beyond the stated noise

@@ -155,6 +155,21 @@ def scaled_condition(design: FloatArray) -> tuple[int, float]:
     return rank, float(singular[0] / singular[-1]) if rank == design.shape[1] else float("inf")
 
 
+def weakest_parameters(
+    design: FloatArray, rows: int, least: float, names: Sequence[str]
+) -> tuple[float, tuple[str, ...]]:
+    """Return the smallest rms effect of a combination of parameters on ``rows`` rows, and the parameters of weak combinations.
+
+    Combinations are weak with an effect below ``least``, and a parameter belongs to them with a share of 0.3 or more.
+    """
+    _, singular, right = np.linalg.svd(design, full_matrices=False)
+    effect = singular / np.sqrt(rows)
+    weak = np.append(np.flatnonzero(effect < least), len(effect) - 1)
+    share = np.linalg.norm(right[weak], axis=0)
+    weakest = float(effect[-1]) if len(design) >= len(names) else 0.0
+    return weakest, tuple(name for name, s in zip(names, share, strict=True) if s > 0.3 * share.max())
+
+
 # ---- the note's matrix
 
 
