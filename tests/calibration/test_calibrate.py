@@ -174,9 +174,6 @@ def test_face_that_was_not_recorded_is_named():
 
 # ---- settings that reach a fit change it as they say
 
-FITTED = random_device(np.random.default_rng(21), grade="consumer")
-
-
 @pytest.mark.parametrize(
     "settings",
     [

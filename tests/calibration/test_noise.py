@@ -85,16 +85,6 @@ def test_records_that_move_have_gaps_or_say_nothing_are_refused() -> None:
         fit_noise(Record(time=bursts, gyro=record.gyro))
 
 
-def test_one_triad_may_have_more_gaps_than_the_other() -> None:
-    record = noisy(20_000, 0.005, 0.0, seed=2)
-    accel = np.array(record.gyro)
-    accel[::3_000] = np.nan
-    fit = fit_noise(Record(time=record.time, gyro=record.gyro, accel=accel))
-    assert fit.accel[0].curve.taus_s[-1] < 15.0  # of 30 s between the gaps, two windows and as many terms
-    assert fit.gyro[0].angle_random_walk.value == pytest.approx(0.005, rel=0.05)
-    assert fit.accel[0].angle_random_walk.value == pytest.approx(0.005, rel=0.05)
-
-
 def test_a_filtered_record_is_fitted_with_a_stated_departure() -> None:
     record = noisy(60_000, 0.0005, 0.0, seed=6)  # 0.03 deg/s/sqrt(Hz): a poor gyroscope
     assert record.gyro is not None

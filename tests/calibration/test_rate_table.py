@@ -172,18 +172,6 @@ def test_dwells_that_cannot_be_averaged_are_refused():
         dwell_means([Record(time=result.time, gyro=gappy)], turns)
 
 
-def test_range_of_a_fit_is_what_its_dwells_reached():
-    fit = fit_rate_table(dwells(grid=np.array([-90.0, -5.0, 5.0, 30.0]) * DPS))
-    np.testing.assert_allclose(fit.model.valid_range, (-90.0 * DPS, 30.0 * DPS), rtol=1e-15)
-
-
-def test_dwells_of_a_later_recording_come_later():
-    result, turns = record()
-    means = dwell_means([result, result], [turns[0], replace(turns[1], recording=1)])
-    # recordings of 6 s; dwells of 3 s, the first of the one and the second of the other; a step of 0.01 s either way
-    np.testing.assert_allclose(means.span.mean(axis=1), [1.5, 6.0 + 4.5], atol=0.02)
-
-
 # ---- turns about one or two axes: what they show is a finding, and what they contradict is refused
 
 AXIS_RATES = np.array([-300.0, -100.0, 100.0, 300.0])

@@ -20,7 +20,6 @@ from undrift.drift.temperature import (
     estimate_lag,
     trusted_temperature,
     without_lag,
-    without_lag_smooth,
 )
 from undrift.errors import InputError, NotObservable
 from undrift.io.column_map import ChannelScale
@@ -206,19 +205,6 @@ def test_a_gap_holds_and_the_next_reading_bridges_it():
     assert (result[700:702] == result[699]).all()
     kept = np.isfinite(gone)
     np.testing.assert_array_equal(result[kept], without_lag(temp[kept], time[kept], lag_s=TAU, smooth_s=4.0)[0])
-
-
-def test_for_a_fit_nothing_of_the_lag_is_left():
-    time = np.arange(0.0, 3000.0, 0.5)
-    temp = 20.0 + 5.0 * np.sin(time / 150.0)
-    result = without_lag_smooth(column(lagging(time, temp), time), lag_s=TAU)
-    residual = np.abs(result - temp)[1:-1].max()
-    assert residual < 1e-3  # central differences: tau T''' dt^2 / 6 and the bend of the input between samples, 0.3 mK
-    gone = lagging(time, temp)
-    gone[1000:1010] = np.nan
-    again = without_lag_smooth(column(gone, time), lag_s=TAU)
-    assert np.isnan(again[1000:1010]).all()
-    np.testing.assert_array_equal(again[:999], result[:999])
 
 
 def test_the_smoothing_balances_noise_and_the_lag_left():

@@ -44,14 +44,6 @@ def test_covariance_without_an_offset_is_the_scatter():
     np.testing.assert_allclose(claimed / np.outer(size, size), scatter / np.outer(size, size), rtol=0, atol=0.15)
 
 
-def test_loss_of_an_offset_left_in_is_over_one_axis():
-    inputs = np.vstack((np.eye(3), -np.eye(3))) * 4.0  # two of 16 on each axis
-    readings = inputs @ FORWARD.T + FORWARD @ [0.4, 0.0, 0.0]
-    fit = paper_of(inputs, readings, 1e-6)
-    share = 6.0 / 32.0 * 0.4**2
-    assert fit.model.matrix @ FORWARD @ [1.0, 0.0, 0.0] == pytest.approx([1.0 / (1.0 + share), 0.0, 0.0], abs=1e-12)
-
-
 # ---- parameters are named as a laboratory names them
 
 
