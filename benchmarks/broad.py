@@ -28,7 +28,7 @@ from undrift.calibration.codes import device_adc
 from undrift.calibration.reference import ReferenceFit, fit_reference
 from undrift.correction.motion import fit_motion
 from undrift.correction.rest import find_rest_offset
-from undrift.drift.observe import nominal_triad
+from undrift.fit.triad import nominal_triad
 from undrift.model import AdcModel, Calibration
 from undrift.record import Record, Reference
 from undrift.units import STANDARD_GRAVITY

@@ -174,6 +174,7 @@ def test_face_that_was_not_recorded_is_named():
 
 # ---- settings that reach a fit change it as they say
 
+
 @pytest.mark.parametrize(
     "settings",
     [
