@@ -7,7 +7,7 @@ show the same tables. Cells are numbers, and only a renderer formats them.
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -48,7 +48,7 @@ Cell: TypeAlias = float | int | str | bool | Estimate | None
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Table:
-    """A table with its note and figure. Without rows, it is a figure or a note under a title.
+    """A table with its note and figure. Without rows, it is a figure or a note under a title, or is not shown.
 
     Parameters
     ----------
@@ -72,6 +72,17 @@ class Table:
     form: str | Mapping[str, str] = ".3g"
     note: str = ""
     figure: Drawing | None = None
+
+    @classmethod
+    def of(cls, title: str, rows: Sequence[Mapping[str, Cell]], *, note: str = "", **more: Any) -> "Table":
+        """Return a table of rows by the heads of their cells. Without rows, it is empty and is not shown."""
+        if not rows:
+            return cls(title=title)
+        return cls(title=title, columns=[*rows[0]], rows=[tuple(row.values()) for row in rows], note=note, **more)
+
+    def __bool__(self) -> bool:
+        """Return whether there is anything to show."""
+        return bool(self.rows or self.note or self.figure)
 
     @property
     def key(self) -> str:
@@ -169,7 +180,7 @@ def as_json(report: Report, command: str) -> dict[str, Plain]:
         "version": __version__,
         "verdict": report.status if report.verdict_shown else None,
         "answer": report.answer,
-        "findings": plain(findings_json(report.ordered_findings)),
+        "findings": plain(report.ordered_findings),
         "notes": list(report.notes),
         "tables": tables,
         "written": [str(path) for path in report.written],
@@ -187,17 +198,15 @@ def cell_text(cell: Cell, form: str) -> str:
         return str(cell)
     if not math.isfinite(cell):
         return NO_VALUE
-    return (
-        str(cell)
-        if float(cell).is_integer() and not isinstance(cell, float)
-        else f"{cell:{form.replace('.', 'z.', 1)}}"
-    )
+    return f"{cell:{form.replace('.', 'z.', 1)}}" if isinstance(cell, float) else str(cell)
 
 
 def plain(value: object) -> Plain:
-    """Return a value made of what JSON knows: arrays as lists, NaN and infinity as None."""
-    if isinstance(value, Estimate):
-        return {"value": plain(value.value), "uncertainty": plain(value.uncertainty)}
+    """Return a value made of what JSON knows: dataclasses as mappings, arrays as lists, NaN and infinity as None."""
+    if isinstance(value, Finding):
+        (value,) = findings_json([value])
+    if is_dataclass(value):
+        return {item.name: plain(getattr(value, item.name)) for item in fields(value)}
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if hasattr(value, "tolist"):  # arrays and numbers of numpy

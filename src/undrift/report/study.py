@@ -53,16 +53,16 @@ def study_report(outcome: StudyOutcome, figure: Figure3 | None, folder: Path) ->
         tables=[
             _for_all(outcome),
             *(_sessions(outcome, task) for task in outcome.tasks),
-            *_sensitivity(outcome),
-            *(table for task in outcome.tasks for table in _table_1(task)),
+            _sensitivity(outcome),
+            *map(_table_1, outcome.tasks),
             *([_figure3(figure)] if figure else []),
             Table(title="Commands", columns=("session", "command"), rows=_commands(outcome, folder)),
         ],
-        details=[*_breakdown(outcome), _table_2(outcome), *_methods(outcome)],
+        details=[_breakdown(outcome), _table_2(outcome), _methods(outcome)],
         notes=notes,
         figures=[lambda: draw_sessions(outcome)],
         written=[folder / name for name in ("report.html", "summary.json", "runs.parquet")],
-        data=study_json(outcome, figure),
+        data=_json(outcome),
     )
 
 
@@ -120,39 +120,47 @@ def _assumed(outcome: StudyOutcome) -> str:
 
 
 def _for_all(outcome: StudyOutcome) -> Table:
-    rows = list[tuple[Cell, ...]]()
+    rows = list[dict[str, Cell]]()
     for k, overall in enumerate(outcome.for_all):
-        answers = [(name_of(task), task.answers[k]) for task in outcome.tasks] + [("all tasks", overall)]
-        for name, answer in answers:
-            counts = (answer.below, answer.tested, answer.confirmed) if answer.tested else (None, None, None)
-            rows.append((answer.target_deg, name, answer.session or "none", *counts))
+        for name, answer in [*((name_of(task), task.answers[k]) for task in outcome.tasks), ("all tasks", overall)]:
+            below, tested, confirmed = answer.below, answer.tested, answer.confirmed
+            row: dict[str, Cell] = {
+                "target (deg)": answer.target_deg,
+                "task": name,
+                "cheapest session": answer.session or "none",
+            }
+            test = {"other group below": below, "of": tested, "confirmed": confirmed}
+            rows.append(row | (test if tested else dict.fromkeys(test)))
     note = GOOD_ENOUGH + _assumed(outcome)
     if outcome.study.shipped:
         note += " Fits that come with undrift were used where they exist. One of them was made again for comparison, and agrees."
-    columns = ("target (deg)", "task", "cheapest session", "other group below", "of", "confirmed")
-    title = "The cheapest session that is good enough"
-    return Table(title=title, columns=columns, rows=rows, form="g", note=note)
+    return Table.of("The cheapest session that is good enough", rows, form="g", note=note)
 
 
 def _sessions(outcome: StudyOutcome, task: TaskOutcome) -> Table:
     study, device = outcome.study, outcome.study.typical_unit()
-    rows = list[tuple[Cell, ...]]()
+    rows = list[dict[str, Cell]]()
     for row in task.sessions:
-        session = row.session
-        about = (session.name, session.length_min, session.instruments)
+        against: str = "best" if row.against_best is None else row.against_best.verdict
         if row.failed == outcome.subjects:
-            reason = "every device fails" if session.suits(device) else "not for readings in counts"
-            rows.append((*about, *(None,) * 8, reason, row.failed))
-            continue
-        low, high = row.interval_deg
-        enough = [target for target in study.target_deg if row.quantile_deg <= target]
-        errors = (row.mean_deg, max(low, 0.0), high, row.quantile_deg, *row.single_deg, row.real_time_deg)
-        against = "best" if row.against_best is None else row.against_best.verdict
-        rows.append((*about, *errors, enough[0] if enough else None, against, row.failed))
-    columns = (
-        "session", "minutes", "instruments", "mean (deg)", "95 % from", "to", "95 % of devices below", "one device from",
-        "one device to", "mean in real time", "enough for (deg)", "against the best", "devices that fail",
-    )  # fmt: skip
+            against = "every device fails" if row.session.suits(device) else "not for readings in counts"
+        rows.append(
+            {
+                "session": row.session.name,
+                "minutes": row.session.length_min,
+                "instruments": row.session.instruments,
+                "mean (deg)": row.mean_deg,
+                "95 % from": max(row.interval_deg[0], 0.0),
+                "to": row.interval_deg[1],
+                "95 % of devices below": row.quantile_deg,
+                "one device from": row.single_deg[0],
+                "one device to": row.single_deg[1],
+                "mean in real time": row.real_time_deg,
+                "enough for (deg)": next((x for x in study.target_deg if row.quantile_deg <= x), None),
+                "against the best": against,
+                "devices that fail": row.failed,
+            }
+        )
     timing = "aligned in time, as the note compares" if study.timing == "aligned" else "in real time"
     low_k, high_k = study.excursion_k
     note = (
@@ -160,44 +168,41 @@ def _sessions(outcome: StudyOutcome, task: TaskOutcome) -> Table:
         f"{high_k:g} K above the room, {OFFSETS[study.offset]}. Against the best: better or worse by more than "
         f"{study.margin_deg:g} deg, or equivalent within it. The error rate of all these tests together is 5 %."
     )
-    form = {"minutes": ".0f", "mean (deg)": ".3f", "95 % from": ".3f", "to": ".3f", "95 % of devices below": ".2f",
-            "one device from": ".3f", "one device to": ".3f", "mean in real time": ".2f", "enough for (deg)": "g"}  # fmt: skip
-    return Table(title=f"{name_of(task)}: sessions", columns=columns, rows=rows, form=form, note=note)
+    form = dict.fromkeys(("mean (deg)", "95 % from", "to", "one device from", "one device to"), ".3f")
+    form |= dict.fromkeys(("95 % of devices below", "mean in real time"), ".2f")
+    form |= {"minutes": ".0f", "enough for (deg)": "g"}
+    return Table.of(f"{name_of(task)}: sessions", rows, form=form, note=note)
 
 
-def _sensitivity(outcome: StudyOutcome) -> list[Table]:
-    names = [session.name for session in outcome.study.sessions]
-    errors: dict[tuple[float, str, str], float] = {
-        (rise, offset, name): value for rise, offset, name, value in outcome.sensitivity
-    }
-    low_k, high_k = outcome.study.excursion_k
-    rows: list[tuple[Cell, ...]] = [
-        (
-            f"{rise:g}" if math.isfinite(rise) else f"{low_k:g} to {high_k:g}",
-            offset,
-            *(errors[rise, offset, name] for name in names),
-        )
+def _sensitivity(outcome: StudyOutcome) -> Table:
+    errors = {(rise, offset, name): value for rise, offset, name, value in outcome.sensitivity}
+    names, range_k = (
+        [session.name for session in outcome.study.sessions],
+        "{:g} to {:g}".format(*outcome.study.excursion_k),
+    )
+    rows: list[dict[str, Cell]] = [
+        {"K above the room": f"{rise:g}" if math.isfinite(rise) else range_k, "offset subtracted": offset}
+        | {name: errors[rise, offset, name] for name in names}
         for rise, offset in dict.fromkeys((rise, offset) for rise, offset, *_ in outcome.sensitivity)
     ]
     note = (
         f"{name_of(outcome.tasks[0])}: error that 95 % of devices stay below (deg), for other temperatures and offsets."
     )
-    columns = ("K above the room", "offset subtracted", *names)
-    return [Table(title="Sensitivity", columns=columns, rows=rows, form=".2f", note=note)] if rows else []
+    return Table.of("Sensitivity", rows, form=".2f", note=note)
 
 
-def _breakdown(outcome: StudyOutcome) -> list[Table]:
-    rows: list[tuple[Cell, ...]] = [
-        (name_of(task), breakdown_session(task), *(100.0 * share for _, share in task.breakdown))
+def _breakdown(outcome: StudyOutcome) -> Table:
+    rows: list[dict[str, Cell]] = [
+        {"task": name_of(task), "session": breakdown_session(task)}
+        | {f"{name} (%)": 100.0 * share for name, share in task.breakdown}
         for task in outcome.tasks
         if task.breakdown
     ]
-    columns = ("task", "session", *(f"{name} (%)" for name, _ in outcome.tasks[0].breakdown))
     note = (
         "Share of the mean square that is gone if one kind of error is switched off. Kinds act together, so shares need "
         "not add up to 100 %."
     )
-    return [Table(title="What the error is made of", columns=columns, rows=rows, form=".0f", note=note)] if rows else []
+    return Table.of("What the error is made of", rows, form=".0f", note=note)
 
 
 def _commands(outcome: StudyOutcome, folder: Path) -> Sequence[tuple[str, str]]:
@@ -211,7 +216,7 @@ def _commands(outcome: StudyOutcome, folder: Path) -> Sequence[tuple[str, str]]:
 # ---- what the note reports
 
 
-def _table_1(task: TaskOutcome) -> list[Table]:
+def _table_1(task: TaskOutcome) -> Table:
     """Return the errors of a task for other values of the note's four numbers."""
     rows = list[tuple[Cell, ...]]()
     for effect in task.effects:
@@ -220,10 +225,8 @@ def _table_1(task: TaskOutcome) -> list[Table]:
             test = (effect.anova.f, effect.anova.p_value, effect.p_holm)
         span = max(effect.means_deg, default=0.0) - min(effect.means_deg, default=0.0)
         for value, mean in zip(effect.values, effect.means_deg, strict=True):
-            is_own = value == effect.own
-            rows.append(
-                (HEADINGS[effect.parameter], value, mean, *((span, *test, effect.verdict) if is_own else (None,) * 5))
-            )
+            tested = (span, *test, effect.verdict) if value == effect.own else (None,) * 5
+            rows.append((HEADINGS[effect.parameter], value, mean, *tested))
     note = (
         "Each number is varied by itself. The other three keep their values. The row with the value of the task has the "
         "span of the means, and F of repeated-measures ANOVA with the Greenhouse-Geisser correction. The verdict uses the "
@@ -235,120 +238,81 @@ def _table_1(task: TaskOutcome) -> list[Table]:
     columns = ("parameter", "value", "mean error (deg)", "span (deg)", "F", "p", "p (Holm)", "verdict")
     form = {"value": "g", "mean error (deg)": ".3f", "span (deg)": ".3f", "F": ".2f", "p": ".2g", "p (Holm)": ".2g"}
     title = f"{name_of(task)}: the note's Table 1"
-    return [Table(title=title, columns=columns, rows=rows, form=form, note=note)] if rows else []
+    return Table(title=title, columns=columns, rows=rows, form=form, note=note if rows else "")
 
 
 def _table_2(outcome: StudyOutcome) -> Table:
     """Return both groups of people beside the note's Table 2."""
     rows = list[tuple[Cell, ...]]()
-    for group, printed in TABLE_2.items():
+    for group, (note_ages, note_heights) in TABLE_2.items():
         people = cohort(group, rng=stream(outcome.study.seed, "cohort", group, 0))
-        ages, heights_cm = [person.age_years for person in people], [100.0 * person.height for person in people]
-        for quantity, values, printed_row, factor in (
-            ("age (years)", ages, printed[0], 1.0),
-            ("height (cm)", heights_cm, printed[1], 100.0),
+        for quantity, values, note_row in (
+            ("age (years)", [person.age_years for person in people], note_ages),
+            ("height (cm)", [100.0 * person.height for person in people], [100.0 * height for height in note_heights]),
         ):
-            simulated = (min(values), float(np.mean(values)), max(values))
-            rows.append((group, quantity, *(factor * value for value in printed_row), *simulated))
+            rows.append((group, quantity, *note_row, min(values), float(np.mean(values)), max(values)))
     columns = ("group", "quantity", "note, minimum", "note, mean", "note, maximum", "minimum", "mean", "maximum")
     return Table(title="The note's Table 2", columns=columns, rows=rows, form=".0f")
 
 
 def _figure3(figure: Figure3) -> Table:
-    rows = [
-        (
-            name,
-            figure.simulated_max_deg[k],
-            figure.actual_max_deg[k],
-            figure.simulated_actual_max_deg[k],
-            figure.correlation[k],
-        )
-        for k, name in enumerate(COMPARED)
-    ]
+    errors = (figure.simulated_max_deg, figure.actual_max_deg, figure.simulated_actual_max_deg, figure.correlation)
     note = (
         f"Board {figure.excursion_k:g} K above the bench. Compensation removes {figure.decrease_deg:.2f} deg of the actual "
         f"device's largest error (the note: more than 3.2). With all tables the two errors differ by at most "
         f"{figure.simulated_actual_max_deg[2]:.2f} deg (the note: 0.15). The actual device is the simulated one with "
         f"hysteresis, thermometer lag, non-linearity of the converter and g-sensitivity. {SLOPE_OF_THE_NOTE}"
     )
-    columns = ("level", "simulated: largest (deg)", "actual: largest (deg)", "largest difference (deg)", "correlation")
     return Table(
         title="Figure 3: sit-to-stand task, simulated and actual device",
-        columns=columns,
-        rows=rows,
+        columns=(
+            "level",
+            "simulated: largest (deg)",
+            "actual: largest (deg)",
+            "largest difference (deg)",
+            "correlation",
+        ),
+        rows=[*zip(COMPARED, *errors, strict=True)],
         form=".2f",
         note=note,
         figure=lambda: draw_figure3(figure, COMPARED),
     )
 
 
-def _methods(outcome: StudyOutcome) -> list[Table]:
+def _methods(outcome: StudyOutcome) -> Table:
     """Return the methods that undrift offers and the note's rivals."""
-    rows = list[tuple[Cell, ...]]()
+    rows = list[dict[str, Cell]]()
     for row in outcome.methods:
-        errors = [cell for mean, ends in zip(row.error_deg, row.interval_deg, strict=True) for cell in (mean, *ends)]
-        rows.append((row.method, row.minutes, row.instruments, row.triads, *errors, row.tilt_deg, row.failed))
-    heads = [
-        f"{name_of(task)}{part}" for task in outcome.tasks for part in (" (deg)", ", 95 % from (deg)", ", to (deg)")
-    ]
+        cells: dict[str, Cell] = {
+            "method": row.method,
+            "minutes": row.minutes,
+            "instruments": row.instruments,
+            "triads": row.triads,
+        }
+        for name, mean, (low, high) in zip(map(name_of, outcome.tasks), row.error_deg, row.interval_deg, strict=True):
+            cells |= {f"{name} (deg)": mean, f"{name}, 95 % from (deg)": low, f"{name}, to (deg)": high}
+        rows.append(cells | {"tilt at rest (deg)": row.tilt_deg, "devices that fail": row.failed})
+    form = {head: ".0f" if head == "minutes" else ".2f" for head in (rows[0] if rows else ())}
     note = (
         "Mean error of the pitch with its 95 % interval. All methods calibrate the same devices, which perform the same "
         "trials. Tilt is measured by the accelerometers only. A triad that a method does not calibrate keeps its data "
         "sheet, with the offset of a rest. Each rival has one specified instrument error."
     )
-    columns = ("method", "minutes", "instruments", "triads", *heads, "tilt at rest (deg)", "devices that fail")
-    form = dict.fromkeys((*heads, "tilt at rest (deg)"), ".2f") | {"minutes": ".0f"}
-    return [Table(title="Methods and rivals", columns=columns, rows=rows, form=form, note=note)] if rows else []
+    return Table.of("Methods and rivals", rows, form=form, note=note)
 
 
-# ---- summary.json
-
-
-def study_json(outcome: StudyOutcome, figure: Figure3 | None) -> dict[str, Any]:
-    """Return the JSON of a study."""
-    planned = outcome.study
+def _json(outcome: StudyOutcome) -> dict[str, Any]:
+    """Return the settings of a study, and its results where a table would lose parts."""
     keys = ("name", "device", "group", "excursion_k", "seed", "offset", "timing", "fit", "margin_deg", "target_deg")
-    return {
-        **{key: getattr(planned, key) for key in keys},
-        "subjects": outcome.subjects,
-        "shipped_fits": planned.shipped,
-        "bench": planned.bench.model_dump(),
-        "for_all": [asdict(answer) | {"confirmed": answer.confirmed} for answer in outcome.for_all],
-        "tasks": [_task_json(task) for task in outcome.tasks],
-        "sensitivity": [
-            {
-                "excursion_k": None if rise == float("inf") else rise,
-                "offset": offset,
-                "session": name,
-                "quantile_deg": value,
-            }
-            for rise, offset, name, value in outcome.sensitivity
-        ],
-        "methods": [asdict(row) for row in outcome.methods],
-        "figure3": figure
-        and {
-            "actual_max_deg": figure.actual_max_deg,
-            "simulated_max_deg": figure.simulated_max_deg,
-            "simulated_actual_max_deg": figure.simulated_actual_max_deg,
-            "decrease_deg": figure.decrease_deg,
-        },
-    }
-
-
-def _task_json(task: TaskOutcome) -> dict[str, Any]:
-    sessions = [
-        {"session": row.session.name, "minutes": row.session.length_min, "instruments": row.session.instruments}
-        | {key: getattr(row, key) for key in ("mean_deg", "interval_deg", "single_deg", "real_time_deg", "failed")}
-        | {"quantile_deg": row.quantile_deg if row.quantile_deg < float("inf") else None}
-        | {"against_best": row.against_best and asdict(row.against_best)}
-        for row in task.sessions
+    tasks = [
+        {
+            "task": task.task.key,
+            "sessions": [asdict(row) | {"session": row.session.name} for row in task.sessions],
+            "answers": task.answers,
+            "effects": task.effects,
+            "made_of": dict(task.breakdown),
+        }
+        for task in outcome.tasks
     ]
-    effects = [asdict(effect) | {"verdict": effect.verdict} for effect in task.effects]
-    answers = [asdict(answer) | {"confirmed": answer.confirmed} for answer in task.answers]
-    return {
-        "task": task.task.key,
-        "sessions": sessions,
-        "answers": answers,
-        "effects": effects,
-        "made_of": dict(task.breakdown),
-    }
+    settings = {key: getattr(outcome.study, key) for key in keys} | {"bench": tree_of(outcome.study.bench)}
+    return settings | {"subjects": outcome.subjects, "for_all": outcome.for_all, "tasks": tasks}

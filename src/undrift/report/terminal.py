@@ -30,8 +30,8 @@ def show(report: Report, *, details: bool = False) -> None:
         _show_findings(report, details=details)
         for table in (*report.tables, *(report.details if details else ())):
             _show_table(table)
-        if report.details and not details:
-            say(f"  More tables ({', '.join(table.title for table in report.details)}): --details")
+        if (titles := [table.title for table in report.details if table]) and not details:
+            say(f"  More tables ({', '.join(titles)}): --details")
         say(*(f"  {note}" for note in report.notes), *(f"Wrote {path}" for path in report.written))
         if report.next_command:
             say("Next: undrift " + shlex.join(map(str, report.next_command)))

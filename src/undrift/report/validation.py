@@ -1,6 +1,7 @@
 """The report of a validation: errors in degrees beside their predicted limits, and at each level of correction."""
 
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,9 +10,9 @@ from undrift.findings import Finding, two_digits
 from undrift.io.store import findings_json
 from undrift.model import Calibration
 from undrift.report.figures import draw_level_errors, draw_people_agreement, draw_validation, trial_figure
-from undrift.report.report import Cell, Drawing, Estimate, Report, Table
+from undrift.report.report import Cell, Estimate, Report, Table
 from undrift.units import RADIAN_PER_DEGREE
-from undrift.validation.agreement import BlandAltman, Validation
+from undrift.validation.agreement import Validation
 from undrift.validation.align import LEAD_S, REST_S
 from undrift.validation.levels import LevelSummary, LevelTable
 from undrift.validation.trial import END_S, OWN_LAG_S, Trial, TrialSettings
@@ -60,14 +61,19 @@ class Comparison:
 def validation_report(compared: Comparison, findings: tuple[Finding, ...], notes: tuple[str, ...]) -> Report:
     result, levels = compared.result, compared.levels
     trials, many = result.trials, len(result.trials) > 1
-    courses = [Table(title=f"Course of {trial.recording}", figure=_course(trial)) for trial in trials]
+    courses = [Table(title=f"Course of {trial.recording}", figure=partial(trial_figure, trial)) for trial in trials]
+    remarks: list[dict[str, Cell]] = [
+        {"recording": trial.recording, "level": item.level, "finding": item.text}
+        for trial in trials
+        for item in trial.findings
+    ]
     return Report(
         title=f"Against the reference: {len(trials)} recording{'s' * many}",
         answer=_answer(compared),
-        tables=[errors_table(result), *_predicted(trials), *level_tables(levels)],
+        tables=[errors_table(result), _predicted(trials), *level_tables(levels)],
         details=[
             *level_details(levels),
-            *_remarks(trials),
+            Table.of("Findings by recording", remarks),
             _recordings(compared),
             Table(title="Method", note=_method(compared)),
             *(courses if many else ()),
@@ -75,23 +81,19 @@ def validation_report(compared: Comparison, findings: tuple[Finding, ...], notes
         notes=notes,
         findings=[*findings, *(item for trial in trials for item in trial.findings)],
         figures=[
-            (lambda: draw_validation(result)) if many else _course(trials[0]),
-            lambda: draw_level_errors(levels),
+            partial(draw_validation, result) if many else partial(trial_figure, trials[0]),
+            partial(draw_level_errors, levels),
         ],
         data={
             "trials": [_trial_json(trial) for trial in trials],
-            "mean": asdict(result.mean),
-            "median": asdict(result.median),
+            "mean": result.mean,
+            "median": result.median,
             "levels": levels_json(levels),
             "calibration": "reference" if compared.fitted else compared.source or None,
             "leave_one_out": bool(result.held_out),
             "offset": compared.settings.offset,
         },
     )
-
-
-def _course(trial: Trial) -> Drawing:
-    return lambda: trial_figure(trial)
 
 
 def _answer(compared: Comparison) -> str:
@@ -122,43 +124,35 @@ def _correction(compared: Comparison) -> str:
 
 def errors_table(result: Validation) -> Table:
     """Return the errors, one row a recording, with mean and median of several."""
-    rows = [(trial.recording, trial.figures) for trial in result.trials]
-    rows += [("mean", result.mean), ("median", result.median)] if len(result.trials) > 1 else []
-    return Table(
-        title="Error against the reference (deg)",
-        columns=("recording", *ERRORS, "pitch %", "optics %"),
-        rows=[
-            (
-                name,
-                *(getattr(figures, key) for key in ERRORS.values()),
-                100.0 * figures.pitch_defined,
-                100.0 * figures.valid_optics,
-            )
-            for name, figures in rows
-        ],
-        form=dict.fromkeys(ERRORS, ".2f") | {"pitch %": ".1f", "optics %": ".1f"},
-        note="Root mean square over the motion, largest error of the pitch, and median after the motion (end)."
-        + (f" {PITCH_DEFINED}" if any(figures.pitch_defined < 1.0 for _, figures in rows) else ""),
-    )
+    named = [(trial.recording, trial.figures) for trial in result.trials]
+    named += [("mean", result.mean), ("median", result.median)] if len(named) > 1 else []
+    rows: list[dict[str, Cell]] = [
+        {"recording": name, **{head: getattr(figures, key) for head, key in ERRORS.items()}}
+        | {"pitch %": 100.0 * figures.pitch_defined, "optics %": 100.0 * figures.valid_optics}
+        for name, figures in named
+    ]
+    note = "Root mean square over the motion, largest error of the pitch, and median after the motion (end)."
+    if any(figures.pitch_defined < 1.0 for _, figures in named):
+        note += f" {PITCH_DEFINED}"
+    form = dict.fromkeys(ERRORS, ".2f") | dict.fromkeys(("pitch %", "optics %"), ".1f")
+    return Table.of("Error against the reference (deg)", rows, form=form, note=note)
 
 
-def _predicted(trials: tuple[Trial, ...]) -> list[Table]:
+def _predicted(trials: tuple[Trial, ...]) -> Table:
     """Return the errors beside their predicted limits."""
-    rows = [
-        (
-            trial.recording, trial.figures.rmse_total_deg, trial.expected.rmse_at_most_deg,
-            trial.figures.end_total_deg, trial.expected.end_at_most_deg, trial.within_expected,
-        )
+    rows: list[dict[str, Cell]] = [
+        {
+            "recording": trial.recording,
+            "total rms": trial.figures.rmse_total_deg,
+            "rms at most": trial.expected.rmse_at_most_deg,
+            "end total": trial.figures.end_total_deg,
+            "end at most": trial.expected.end_at_most_deg,
+            "within": trial.within_expected,
+        }
         for trial in trials
         if trial.expected is not None
-    ]  # fmt: skip
-    columns = ("recording", "total rms", "rms at most", "end total", "end at most", "within")
-    return [Table(title="Predicted limits (deg)", columns=columns, rows=rows, note=PREDICTED)] if rows else []
-
-
-def _remarks(trials: tuple[Trial, ...]) -> list[Table]:
-    rows = [(trial.recording, item.level, item.text) for trial in trials for item in trial.findings]
-    return [Table(title="Findings by recording", columns=("recording", "level", "finding"), rows=rows)] if rows else []
+    ]
+    return Table.of("Predicted limits (deg)", rows, note=PREDICTED)
 
 
 def _method(compared: Comparison) -> str:
@@ -182,24 +176,20 @@ def _method(compared: Comparison) -> str:
 
 def _recordings(compared: Comparison) -> Table:
     """Return the motion, the lag and the mounting of each recording."""
-    columns = (
-        "recording",
-        "reference",
-        "motion from (s)",
-        "to (s)",
-        "lag (ms)",
-        "in the errors",
-        "mounting (deg)",
-        "removed",
-    )
-    rows = []
-    for (file, reference), trial in zip(compared.files, compared.result.trials, strict=True):
-        lag = Estimate(trial.lag.seconds * 1e3, trial.lag.standard_uncertainty * 1e3)
-        angle_deg = None if trial.mounting is None else trial.mounting.angle / RADIAN_PER_DEGREE
-        removed = None if trial.mounting is None else trial.mounting.applied
-        motion = (trial.motion.start_s, trial.motion.stop_s)
-        rows.append((file, reference or "the same file", *motion, lag, not trial.lag_undone, angle_deg, removed))
-    return Table(title="Recordings", columns=columns, rows=rows, form=".1f")
+    rows: list[dict[str, Cell]] = [
+        {
+            "recording": file,
+            "reference": reference or "the same file",
+            "motion from (s)": trial.motion.start_s,
+            "to (s)": trial.motion.stop_s,
+            "lag (ms)": Estimate(1e3 * trial.lag.seconds, 1e3 * trial.lag.standard_uncertainty),
+            "in the errors": not trial.lag_undone,
+            "mounting (deg)": None if trial.mounting is None else trial.mounting.angle / RADIAN_PER_DEGREE,
+            "removed": None if trial.mounting is None else trial.mounting.applied,
+        }
+        for (file, reference), trial in zip(compared.files, compared.result.trials, strict=True)
+    ]
+    return Table.of("Recordings", rows, form=".1f")
 
 
 def _trial_json(trial: Trial) -> dict[str, Any]:
@@ -207,10 +197,10 @@ def _trial_json(trial: Trial) -> dict[str, Any]:
         "recording": trial.recording,
         **asdict(trial.figures),
         "expected_end_deg": trial.expected and trial.expected.end_total_deg,
-        "expected": trial.expected and asdict(trial.expected),
+        "expected": trial.expected,
         "within_expected": trial.within_expected,
         "rest": trial.rest and trial.rest.figures,
-        "findings": findings_json(trial.findings),
+        "findings": trial.findings,
     }
 
 
@@ -236,35 +226,37 @@ def label_of(table: LevelTable, level: str, method: str) -> str:
 
 def level_tables(table: LevelTable) -> list[Table]:
     """Return the errors at each level over all trials, and the agreement with the optics from ten people on."""
-    return [_errors_table(table, "all"), *_agreement(table)]
+    return [_errors_table(table, "all"), _agreement(table)]
 
 
 def level_details(table: LevelTable) -> list[Table]:
     """Return the errors at each level for each task and device, and of each trial."""
     groups = dict.fromkeys(summary.group for summary in table.summaries if summary.group != "all")
-    tables = [_errors_table(table, group) for group in groups]
-    missing = [(label_of(table, row.level, row.method), row.missing) for row in table.errors if row.missing]
-    if missing:
-        tables.append(Table(title="Levels without a result", columns=("level", "reason"), rows=missing))
-    if len(table.trials) > 1:
-        names = TRIAL if any(trial.person or trial.task or trial.device for trial in table.trials) else TRIAL[:1]
-        labels = [label_of(table, errors.level, errors.method) for errors in table.errors]
-        rows = [
-            (*(getattr(trial, name) for name in names), *(float(errors.error_deg[k]) for errors in table.errors))
-            for k, trial in enumerate(table.trials)
-        ]
-        title = f"{table.quantity.capitalize()} error of each trial (deg)"
-        tables.append(Table(title=title, columns=(*names, *labels), rows=rows, form=".2f"))
-    return tables
+    labels = [label_of(table, errors.level, errors.method) for errors in table.errors]
+    missing: list[dict[str, Cell]] = [
+        {"level": label, "reason": errors.missing}
+        for label, errors in zip(labels, table.errors, strict=True)
+        if errors.missing
+    ]
+    names = TRIAL if any(trial.person or trial.task or trial.device for trial in table.trials) else TRIAL[:1]
+    trials: list[dict[str, Cell]] = [
+        {name: getattr(trial, name) for name in names}
+        | {label: float(errors.error_deg[k]) for label, errors in zip(labels, table.errors, strict=True)}
+        for k, trial in enumerate(table.trials if len(table.trials) > 1 else ())
+    ]
+    return [
+        *(_errors_table(table, group) for group in groups),
+        Table.of("Levels without a result", missing),
+        Table.of(f"{table.quantity.capitalize()} error of each trial (deg)", trials, form=".2f"),
+    ]
 
 
 def _errors_table(table: LevelTable, group: str) -> Table:
     """Return a row for each level: error, reduction from the level above, and the error of a simulated device."""
-    summaries = [summary for summary in table.summaries if summary.group == group]
     rows = list[dict[str, Cell]]()
+    summaries = [summary for summary in table.summaries if summary.group == group]
     for summary, errors in zip(summaries, table.errors, strict=True):
-        if not summary.trials:
-            continue
+        decision, compared = summary.decision, np.isfinite(errors.difference_deg)
         low, high = summary.interval_deg if summary.people > 1 else (None, None)
         row: dict[str, Cell] = {
             "level": label_of(table, summary.level, summary.method),
@@ -273,19 +265,17 @@ def _errors_table(table: LevelTable, group: str) -> Table:
             "error (deg)": summary.mean_deg,
             "95 % from": None if low is None else max(low, 0.0),
             "to": high,
-            "less than above": None if summary.decision is None else summary.decision.difference,
-            "rated": None if summary.decision is None else summary.decision.verdict,
+            "less than above": None if decision is None else decision.difference,
+            "rated": None if decision is None else decision.verdict,
         }
         if group == "all":
-            compared = np.isfinite(errors.difference_deg)
             row["simulated"] = float(errors.simulated_deg[compared].mean()) if compared.any() else None
             row["differs by"] = float(errors.difference_deg[compared].max()) if compared.any() else None
-        rows.append(row)
-    heads = [head for head in (rows[0] if rows else {}) if any(row[head] is not None for row in rows)]
-    return Table(
-        title="Levels of correction" if group == "all" else f"Levels of correction, {group}",
-        columns=heads,
-        rows=[[row[head] for head in heads] for row in rows],
+        rows += [row] if summary.trials else []
+    heads = {head for row in rows for head, cell in row.items() if cell is not None}
+    return Table.of(
+        "Levels of correction" if group == "all" else f"Levels of correction, {group}",
+        [{head: cell for head, cell in row.items() if head in heads} for row in rows],
         form=".2f",
         note=_level_note(table, group),
     )
@@ -303,47 +293,43 @@ def _level_note(table: LevelTable, group: str) -> str:
     return " ".join(parts)
 
 
-def _agreement(table: LevelTable) -> list[Table]:
+def _agreement(table: LevelTable) -> Table:
     """Return the agreement with the optics, for levels and groups with ten people or more."""
-    judged = [(summary, summary.agreement) for summary in table.summaries if summary.agreement is not None]
-    overall = [summary for summary, _ in judged if summary.group == "all"]
+    rows, overall = list[list[Cell]](), list[LevelSummary]()
+    for summary in table.summaries:
+        if (limits := summary.agreement) is not None:
+            icc, label = summary.icc, label_of(table, summary.level, summary.method)
+            reliability = [None] * 4 if icc is None else [icc.value, *icc.interval, icc.minimal_detectable_change]
+            rows.append([summary.group, label, limits.count, limits.bias, *limits.limits, *reliability])
+            overall += [summary] if summary.group == "all" else []
     if not overall:
-        return []
+        return Table(title="Agreement with the optics")
     best = min(overall, key=lambda summary: summary.mean_deg)
     columns = (
         "group", "level", "people", "bias (deg)", "limits from (deg)", "to (deg)", "ICC(2,1)", "ICC from", "to",
         "MDC95 (deg)",
     )  # fmt: skip
-    return [
-        Table(
-            title="Agreement with the optics",
-            columns=columns,
-            rows=[_agreement_row(table, summary, limits) for summary, limits in judged],
-            form=".2f",
-            note=AGREEMENT,
-            figure=lambda: draw_people_agreement(table, best),
-        )
-    ]
-
-
-def _agreement_row(table: LevelTable, summary: LevelSummary, limits: BlandAltman) -> list[Cell]:
-    icc = summary.icc
-    row: list[Cell] = [summary.group, label_of(table, summary.level, summary.method), limits.count, limits.bias]
-    row += list(limits.limits)
-    return row + ([None] * 4 if icc is None else [icc.value, *icc.interval, icc.minimal_detectable_change])
+    return Table(
+        title="Agreement with the optics",
+        columns=columns,
+        rows=rows,
+        form=".2f",
+        note=AGREEMENT,
+        figure=partial(draw_people_agreement, table, best),
+    )
 
 
 def levels_json(table: LevelTable) -> dict[str, Any]:
     """Return the levels of correction for JSON."""
-    errors = list[dict[str, Any]]()
-    for row in table.errors:
-        items = findings_json([item for _, item in row.findings])
-        findings = [{"recording": pair[0], **item} for pair, item in zip(row.findings, items, strict=True)]
-        errors.append(asdict(replace(row, findings=())) | {"findings": findings})
+    errors = [
+        asdict(replace(row, findings=()))
+        | {"findings": [{"recording": name, **findings_json([item])[0]} for name, item in row.findings]}
+        for row in table.errors
+    ]
     return {
         "quantity": table.quantity,
         "margin_deg": table.margin_deg,
         "trials": [{name: getattr(trial, name) for name in TRIAL} for trial in table.trials],
-        "summaries": [asdict(summary) for summary in table.summaries],
+        "summaries": table.summaries,
         "errors": errors,
     }
