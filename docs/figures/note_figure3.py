@@ -3,8 +3,7 @@
 import sys
 from pathlib import Path
 
-from undrift.report.figures import save_figure
-from undrift.report.note import draw_figure3
+from undrift.report.figures import draw_figure3, save_figure
 from undrift.study.figure3 import COMPARED, figure3
 
 

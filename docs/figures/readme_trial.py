@@ -52,16 +52,14 @@ def errors() -> tuple[np.ndarray, dict[str, np.ndarray], dict[str, float]]:
 def draw(path: Path) -> dict[str, float]:
     """Draw the picture and return the end error of each way, deg."""
     time, found, ends = errors()
-    figure, (axes,) = new_figure(1, height=2.7, width=4.8)  # narrow, so that its text keeps 9 pixels on a phone
+    figure, (axes,) = new_figure("angle to optics (deg)", x="time from the start of the motion (s)", height=2.7)
     for name, colour, dash, height in SHAPES:
         held = np.isfinite(found[name])
         t, y = time[held], found[name][held]
         kept = np.linspace(0, len(t) - 1, 420).astype(int)
         axes.plot(t[kept], y[kept], color=colour, linestyle=dash, linewidth=1.6)
         axes.text(t[-1], height, f"{name}: {ends[name]:.1f} deg", color=colour, ha="right")
-    axes.set(
-        xlabel="time from the start of the motion (s)", ylabel="angle to optics (deg)", xlim=(0, time[-1]), ylim=(0, 18)
-    )
+    axes.set(xlim=(0, time[-1]), ylim=(0, 18))
     axes.set_title("Gyroscopes alone, 85 s of motion (BROAD, trial 35)", loc="left", fontsize=9)
     save_figure(figure, path)
     return ends

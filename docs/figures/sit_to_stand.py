@@ -31,7 +31,7 @@ def draw(folder: Path) -> None:
     raw = undrift.Record(time=record.time, gyro=record.gyro / sheet["gyro"], accel=record.accel / sheet["accel"])
     corrected = undrift.correct(record, fit.calibration)
     truth = task.at(record.time, STANDARD_GRAVITY)
-    figure, (axes,) = new_figure(1, height=2.7, width=4.8)
+    figure, (axes,) = new_figure("trunk pitch (deg)", x="time (s)", height=2.7)
     true_deg = np.degrees(sagittal_pitch(truth.q_nb))
     axes.plot(record.time, true_deg, color=OPTICS, linewidth=3.0, alpha=0.35, label="truth")
     at_rest = OrientSettings(offset="rest")
@@ -45,7 +45,7 @@ def draw(folder: Path) -> None:
         axes.plot(
             record.time, pitch_deg, color=colour, linewidth=1.4, label=f"{name}: {error_deg:.1f} deg off at the end"
         )
-    axes.set(xlabel="time (s)", ylabel="trunk pitch (deg)", xlim=(0.0, record.time[-1]), ylim=(-40.0, 110.0))
+    axes.set(xlim=(0.0, record.time[-1]), ylim=(-40.0, 110.0))
     axes.legend(frameon=False, fontsize=8, loc="upper left")
     save_figure(figure, folder / "sit-to-stand.svg")
 

@@ -1,11 +1,12 @@
 """The report of a calibration: what it is good for, its uncertainty, its parameters and their figures."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from undrift.arrays import FloatArray
 from undrift.calibration.expanded import expand, gravity_uncertainty
 from undrift.correction.answer import REST_S, TASK_S, WITHIN_K, answer_sentence, pitch_limits
 from undrift.errors import InputError
@@ -199,22 +200,26 @@ def draw_calibration(calibration: Calibration) -> "Figure":
     triads = {name: model for name in ("gyro", "accel") if (model := triads_of(calibration).get(name)) is not None}
     if not triads:
         raise InputError("plot: expected a calibrated gyroscope or accelerometer, got neither. Calibrate first.")
-    figure, panels = figures.new_figure(2 * len(triads), height=1.6, share_x=False)
+    rows = dict[str, tuple[Sequence[str], FloatArray, list[float]]]()
     elements = [row + column for row in AXES for column in AXES]
-    style: Any = {"fmt": "o", "color": figures.DEVICE, "capsize": 3.0, "markersize": 4.0, "label": "estimate, 95 %"}
-    for (name, triad), matrix, offset in zip(triads.items(), panels[::2], panels[1::2], strict=True):
+    for name, triad in triads.items():
         table = expand(triad)
         expanded = dict(zip(table.names, table.expanded, strict=True))
         gain, ideal = float(triad.scale_factor.mean()), "mean scale"
         if is_physical(triad.unit_in):
             gain, ideal = 1.0 / si_factor(triad.unit_in, "rate" if name == "gyro" else "accel"), "unit"
         bars = [100.0 * gain * expanded.get(f"m_{element}", 0.0) for element in elements]
-        matrix.errorbar(elements, 100.0 * (gain * triad.matrix - np.eye(3)).ravel(), yerr=bars, **style)
-        matrix.axhline(0.0, color=figures.OPTICS, linewidth=0.6)
-        matrix.set_ylabel(f"{name} matrix\nminus {ideal} (%)")
-        offset.errorbar(AXES, triad.offset, yerr=[expanded.get(f"offset_{axis}", 0.0) for axis in AXES], **style)
-        offset.margins(0.3)
-        offset.set_ylabel(f"{name} offset\n({triad.unit_in})")
-    figures.entitle(figure, "Matrix as departures from ideal, and offsets")
+        departures = 100.0 * (gain * triad.matrix - np.eye(3)).ravel()
+        rows[f"{name} matrix\nminus {ideal} (%)"] = elements, departures, bars
+        bars = [expanded.get(f"offset_{axis}", 0.0) for axis in AXES]
+        rows[f"{name} offset\n({triad.unit_in})"] = AXES, triad.offset, bars
+    title = "Matrix as departures from ideal, and offsets"
+    figure, panels = figures.new_figure(*rows, title=title, height=1.6, sharex=False)
+    style: Any = {"fmt": "o", "color": figures.DEVICE, "capsize": 3.0, "markersize": 4.0, "label": "estimate, 95 %"}
+    for axes, (names, values, bars) in zip(panels, rows.values(), strict=True):
+        axes.errorbar(names, values, yerr=bars, **style)
+        axes.margins(0.3 if names is AXES else 0.05)
+    for axes in panels[::2]:
+        axes.axhline(0.0, color=figures.OPTICS, linewidth=0.6)
     figures.legend_above(panels[0])
     return figure

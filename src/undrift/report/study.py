@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from undrift.report.figures import draw_sessions
-from undrift.report.note import draw_figure3
+from undrift.base.codec import tree_of
+from undrift.report.figures import draw_figure3, draw_sessions
 from undrift.report.report import Cell, Report, Table
 from undrift.sim.motion.tasks import TABLE_2, cohort
 from undrift.study.case import ASSUMED, stream
