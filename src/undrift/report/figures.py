@@ -69,20 +69,20 @@ _STYLE: Any = {  # matplotlib types every key by name
 
 
 def new_figure(
-    *labels: str, x: str = "", title: str = "", height: float = 2.0, width: float = WIDTH, columns: int = 1, **grid: Any
+    *labels: str, x: str = "", title: str = "", height: float = 2.0, columns: int = 1, **grid: Any
 ) -> tuple["Figure", list["Axes"]]:
     """Return a figure in the house style, and its panels: a row for each label of a y axis. ``x`` labels the last row."""
     import matplotlib as mpl
 
     with mpl.rc_context(_STYLE):
-        figure = _figure_class()(figsize=(width, 0.4 + height * len(labels)), layout="constrained")
+        figure = _figure_class()(figsize=(WIDTH, 0.4 + height * len(labels)), layout="constrained")
         panels = np.asarray(figure.subplots(len(labels), columns, squeeze=False, **{"sharex": "col"} | grid))
     for row, label in zip(panels, labels, strict=True):
         row[0].set_ylabel(label)
     for panel in panels[-1]:
         panel.set_xlabel(x)
     if title:
-        figure.suptitle(_wrapped(title, 0.98 * 72.0 * width, 10.0), x=0.01, ha="left", fontsize=10)
+        figure.suptitle(_wrapped(title, 0.98 * 72.0 * WIDTH, 10.0), x=0.01, ha="left", fontsize=10)
     return figure, list(panels.ravel())
 
 
@@ -183,14 +183,14 @@ def named(axes: "Axes") -> dict[str, Any]:
 def legend_above(axes: "Axes") -> None:
     """Write a legend between the panel and the content above it, each name once, in as many columns as fit."""
     across = axes.get_subplotspec().get_gridspec().ncols if axes.get_subplotspec() else 1  # type: ignore[union-attr]
-    room_pt = 72.0 * axes.figure.bbox.width / axes.figure.dpi / across - _LABELS_PT
+    room_pt = 72.0 * WIDTH / across - _LABELS_PT
     where: Any = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.2}
     axes.legend(**_legend(named(axes), room_pt) | where)
 
 
-def legend_outside(figure: "Figure", marks: Mapping[str, Any], where: str = "lower left") -> None:
-    """Write a legend of lines and marks by their names next to all panels, in as many columns as fit."""
-    figure.legend(**_legend(marks, 72.0 * figure.get_figwidth()) | {"loc": f"outside {where}"})
+def legend_outside(figure: "Figure", marks: Mapping[str, Any]) -> None:
+    """Write a legend of lines and marks by their names below all panels, in as many columns as fit."""
+    figure.legend(**_legend(marks, 72.0 * WIDTH) | {"loc": "outside lower left"})
 
 
 def _legend(marks: Mapping[str, Any], room_pt: float) -> Any:
@@ -316,8 +316,8 @@ def _motion_of(trial: "Trial") -> list[tuple[float, float]]:
 
 # ---- a recording, and what was found in it
 
-_ROOM = 0.0088  # of the width of the picture, for each letter of a label
-_REASONS = 4  # that the caption lists
+_ROOM = 0.017  # of the width of the picture, for each letter of a label
+_REASONS = 4  # that the legend lists
 _LEVELS = {"still": 2.0, "turn": 1.0, "left out": 0.0}
 _SHOWN_UNIT = {"dps": "deg/s", "count": "counts"}
 
@@ -335,17 +335,15 @@ def draw_recording(records: Sequence[Record], pieces: Sequence["Piece"], *, titl
         if getattr(record, name) is not None
     }
     levels = {name: level for name, level in _LEVELS.items() if name != "left out" or any(p.why for p in pieces)}
+    labels = [f"{name} ({_SHOWN_UNIT.get(unit, unit)})" for name, unit in units.items()]
+    x = "time (s)" + ", recordings one after the other" * (len(records) > 1)
     ratios = [0.22 * len(levels)] + [1.0] * len(units)
-    figure, (strip, *panels) = new_figure(
-        "", *(f"{name} ({_SHOWN_UNIT.get(unit, unit)})" for name, unit in units.items()), width=8.2, height=1.75,
-        x="time (s)" + ", recordings one after the other" * (len(records) > 1), height_ratios=ratios,
-    )  # fmt: skip
+    figure, (strip, *panels) = new_figure("", *labels, x=x, title=title, height_ratios=ratios)
     figure.set_figheight(0.9 + 0.3 * len(levels) + 1.75 * len(units))
     strip.set(yticks=list(levels.values()), yticklabels=list(levels), ylim=(min(levels.values()) - 0.4, 2.95))
     strip.grid(False)
     strip.spines[["left", "bottom"]].set_visible(False)
     strip.tick_params(left=False, bottom=False, labelbottom=False)
-    strip.set_title(_wrapped(title, 72.0 * 8.2 - _LABELS_PT, 10.0), loc="left", fontsize=10)
     marks: dict[str, Any] = {
         axis: Line2D([], [], **axis_style(k, marked=True) | {"markevery": None}) for k, axis in enumerate(AXES)
     }
@@ -362,7 +360,7 @@ def draw_recording(records: Sequence[Record], pieces: Sequence["Piece"], *, titl
                 marks |= _draw_readings(panel, time, values)
         marks |= _draw_gaps(panels, time, record)
         start += lengths_s[number]
-    _add_legend(figure, pieces, marks, used=used)
+    legend_outside(figure, marks | _counted(pieces, used=used))
     return figure
 
 
@@ -416,19 +414,21 @@ def _draw_pieces(strip: "Axes", panels: Sequence["Axes"], time: FloatArray, piec
             shade(panel, [(start, stop)])
 
 
-def _add_legend(figure: "Figure", pieces: Sequence["Piece"], marks: dict[str, Any], *, used: bool) -> None:
-    """Add a legend with counts. Add the reasons for omitted phases below the picture."""
+def _counted(pieces: Sequence["Piece"], *, used: bool) -> dict[str, Any]:
+    """Return a mark for the legend for each kind of phase, by its count. Omitted phases have their reasons."""
     from matplotlib.patches import Patch
 
-    order = sorted(pieces, key=lambda piece: (piece.kind, bool(piece.why)))
-    for (kind, out), count in Counter((piece.kind, bool(piece.why)) for piece in order).items():
-        example = next(piece for piece in order if (piece.kind, bool(piece.why)) == (kind, out))
-        end = "left out" if out else "used" if used else "found"
-        marks[f"{count} {kind}{'s' * (count > 1)} {end}"] = Patch(**_piece_style(example))
-    legend_outside(figure, marks, "upper left")
-    if reasons := Counter((piece.kind, piece.why) for piece in order if piece.why):
-        listed = "; ".join(f"{n} {kind}{'s' * (n > 1)} ({why})" for (kind, why), n in reasons.most_common(_REASONS))
-        figure.supxlabel(textwrap.fill(f"left out: {listed}", 110), fontsize=8, x=0.01, ha="left")
+    groups = dict[tuple[str, bool], list["Piece"]]()
+    for piece in pieces:
+        groups.setdefault((piece.kind, bool(piece.why)), []).append(piece)
+    marks = dict[str, Any]()
+    for (kind, out), group in sorted(groups.items()):
+        reasons = Counter(piece.why for piece in group).most_common(_REASONS)
+        end = "used" if used else "found"
+        if out:
+            end = "left out: " + ", ".join(f"{reason} ({count})" for reason, count in reasons)
+        marks[f"{len(group)} {kind}{'s' * (len(group) > 1)} {end}"] = Patch(**_piece_style(group[0]))
+    return marks
 
 
 # ---- Allan deviation
