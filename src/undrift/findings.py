@@ -19,10 +19,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
-
-from undrift.base.codec import As, FileTable, stored, to_null, tree_of
-from undrift.base.spoken import spoken_template
+from undrift.base.codec import Key, stored
+from undrift.base.spoken import spoken_finding
 
 Level = Literal["info", "warn", "fail"]
 Status = Literal["good", "marginal", "bad"]
@@ -88,8 +86,8 @@ class Finding:
 
     @property
     def text(self) -> str:
-        """Sentence and action. A command line shows back-ticked arguments as its options."""
-        return spoken_template(f"{self.sentence} {self.action}".rstrip())
+        """Sentence and action. The command line and the page show back-ticked arguments in their own words."""
+        return spoken_finding(f"{self.sentence} {self.action}".rstrip())
 
 
 def finding(code: str, level: Level, sentence: str, action: str = "", /, **values: Any) -> Finding:

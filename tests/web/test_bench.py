@@ -1,6 +1,7 @@
 """The bench without a browser: files, results that survive a kill, place, refusals."""
 
 import asyncio
+import html
 import json
 from dataclasses import replace
 
@@ -10,14 +11,17 @@ import pytest
 pytest.importorskip("nicegui")
 
 import undrift
+from undrift.base.spoken import CALLED
 from undrift.commands.certificate import Statement
 from undrift.commands.files import Place
 from undrift.errors import InputError
+from undrift.findings import finding
 from undrift.io.parquet import write_parquet
+from undrift.report import Report
 from undrift.screen import progress
 from undrift.units import gravity_at
 from undrift.web.bench import Bench, ServerSettings
-from undrift.web.items import lock_folder
+from undrift.web.items import Item, lock_folder
 
 
 @pytest.fixture(scope="module")
@@ -134,9 +138,19 @@ def test_a_calibration_that_is_dropped_is_used(bench, record):
     assert "Verdict" in bench.items[0].page("info").read_text()
 
 
-def test_parameters_are_called_as_on_the_page_and_folders_are_not_shown(bench):
-    text = f"{bench.folder}/uploads/a1/walk.csv: add `sample_rate_hz`, or --turn-deg."
-    assert bench.plain(text) == "walk.csv: add the samples per second, or the angle of its turns."
+def test_texts_have_the_words_of_the_page_and_no_options_or_folders(bench):
+    text = f"{bench.folder}/uploads/a1/walk.csv: add `sample_rate_hz` in `old`.csv."
+    assert bench.plain(text) == "walk.csv: add the samples per second in `old`.csv."
+    item = Item(folder=bench.folder, path=bench.folder / "walk.csv")
+    advice = finding(
+        "orient.rest", "warn", "The offset is not known.", "Use `offset` rest, or the filter (`method` vqf)."
+    )
+    token = CALLED.set(("bench",))
+    bench._keep(item, "orient", Report(title="t", answer="a", findings=[advice], notes=["Give `gravity_m_s2`."]))
+    CALLED.reset(token)
+    page = html.unescape(item.page("orient").read_text())
+    assert 'Use "Gyroscope offset to subtract": rest, or the filter (command line: --method vqf).' in page
+    assert "Give the gravity of the place." in page
 
 
 @pytest.mark.parametrize("name", ["../secret", "/etc/passwd", "uploads", "a\0b", "x" * 5000, "nothing.csv"])

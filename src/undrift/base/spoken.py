@@ -1,17 +1,19 @@
-"""Names of arguments in texts: written as in Python, `gravity_m_s2`, and shown as options on the command line.
+"""Names of arguments in texts: written as in Python, `gravity_m_s2`, and shown in the words of the face that runs.
 
-Findings are converted as templates, before their values are inserted, so a file named `old`.csv does not change. Errors and
-notes already contain their values. In them, a word in back-ticks becomes an option only if the running command has a parameter
-of exactly that name. Data in JSON and table cells do not change.
+The command line shows options, --gravity-m-s2, and the page of the bench shows its own words (``calling``). Texts of
+findings are converted where they are shown. Errors and notes contain values, which may be anything, so in them a word in
+back-ticks is converted only if the running command, or the page, has a parameter of exactly that name. Data in JSON and
+table cells do not change.
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 
 CALLED: ContextVar[tuple[str, ...]] = ContextVar("CALLED", default=())  # the words of the command line, if it called
 NAMED: ContextVar[frozenset[str]] = ContextVar("NAMED", default=frozenset())  # parameters of the command that runs
+PAGE: ContextVar[Mapping[str, str]] = ContextVar("PAGE", default={})  # noqa: B039  # words of the page, if it shows
 SHOWING: ContextVar[bool] = ContextVar(
     "SHOWING", default=False
 )  # True while text is shown to a person, not written as data
@@ -28,22 +30,38 @@ def option_of(name: str) -> str:
     return "--" + OPTIONS.get(name, name).replace("_", "-")
 
 
+def _name_of(name: str) -> str:
+    """Return how the page or the command line calls an argument. The page names options that it does not have."""
+    page = PAGE.get()
+    return page.get(name, f"command line: {option_of(name)}") if page else option_of(name)
+
+
 def spoken(text: str) -> str:
-    """Replace parameters of the running command in a text by their options. Other words in back-ticks do not change."""
-    option_names = NAMED.get()
-    return _ARGUMENT.sub(lambda m: option_of(m[1]) if {m[1], OPTIONS.get(m[1])} & option_names else m[0], text)
+    """Replace parameters of the running command, or of the page, in a text. Other words in back-ticks do not change."""
+    names = NAMED.get() | PAGE.get().keys()
+    return _ARGUMENT.sub(lambda m: _name_of(m[1]) if {m[1], OPTIONS.get(m[1])} & names else m[0], text)
 
 
-def spoken_template(template: str) -> str:
-    """Replace all arguments in a template by their options, if the command line shows it."""
-    return _ARGUMENT.sub(lambda m: option_of(m[1]), template) if SHOWING.get() else template
+def spoken_finding(text: str) -> str:
+    """Replace all arguments in the text of a finding, if the command line or the page shows it."""
+    return _ARGUMENT.sub(lambda m: _name_of(m[1]), text) if SHOWING.get() else text
 
 
 @contextmanager
 def showing() -> Iterator[None]:
-    """Make findings name options within a ``with`` block, if the command line is running."""
-    before = SHOWING.set(bool(CALLED.get()))
+    """Make findings name options within a ``with`` block, if the command line or the page is running."""
+    before = SHOWING.set(bool(CALLED.get() or PAGE.get()))
     try:
         yield
     finally:
         SHOWING.reset(before)
+
+
+@contextmanager
+def calling(words: Mapping[str, str]) -> Iterator[None]:
+    """Name arguments by the words of a page within a ``with`` block."""
+    before = PAGE.set(words)
+    try:
+        yield
+    finally:
+        PAGE.reset(before)

@@ -16,6 +16,7 @@ from urllib.parse import quote
 from nicegui.elements.upload_files import FileUpload
 
 from undrift.base.codec import toml_text
+from undrift.base.spoken import calling, spoken
 from undrift.commands.bench.source import LiveDevice, PracticeDevice, connected, found_devices
 from undrift.commands.calibrate import calibrate
 from undrift.commands.certificate import Statement, certificate
@@ -34,10 +35,11 @@ from undrift.web.items import ARRIVING, CALIBRATION, MAP, Item, items_in, read_o
 
 PLACE, PRACTICE = "place.json", "practice"
 INTERNAL = re.compile(r"\b(?:uploads|jobs)/[^/\s\"]+/(?:session/)?")  # folders that no person needs to read
-OPTIONS = {  # what the page calls the parameters of commands
-    "column_map": "the columns and units", "sample_rate_hz": "the samples per second", "turn_deg": "the angle of its turns",
-    "calibrate_from": "the way to calibrate", "from": "the way to calibrate", "latitude_deg": "the latitude",
-    "height_m": "the height", "gravity_m_s2": "the gravity", "rest_s": "the rest",
+WORDS = {  # what the page calls the parameters of commands
+    "column_map": "the columns and units", "sample_rate_hz": "the samples per second", "turn_deg": "the angle of each turn",
+    "sensor": "the sensor", "serial": "the serial number", "calibration": "the calibration", "latitude_deg": "the latitude",
+    "height_m": "the height", "gravity_m_s2": "the gravity of the place", "calibrate_from": '"Other ways":',
+    "offset": '"Gyroscope offset to subtract":', "forward": "the side that points forward", "up": "the side that points up",
 }  # fmt: skip
 Value = TypeVar("Value")
 
@@ -120,10 +122,12 @@ class Bench:
                 self.changed()
 
     def plain(self, text: str) -> str:
-        """Return a text without folders of the bench, and with parameters called as on the page."""
-        text = INTERNAL.sub("", text.replace(f"{self.folder}/", ""))
-        option_pattern = re.compile(r"`(\w+)`|--([a-z][a-z-]+)\b")
-        return option_pattern.sub(lambda m: OPTIONS.get((m[1] or m[2]).replace("-", "_"), m[1] or m[0]), text)
+        """Return a text without folders of the bench, and with parameters in the words of the page."""
+        with calling(WORDS):
+            return self._without_folders(spoken(text))
+
+    def _without_folders(self, text: str) -> str:
+        return INTERNAL.sub("", text.replace(f"{self.folder}/", ""))
 
     # ---- The device
 
@@ -347,5 +351,6 @@ class Bench:
         """Keep the report of a command as a page. A certificate is a page of its own."""
         item.reports[command] = report
         if command != "certificate":
-            text = page_text(replace(report, next_command=(), written=()))
-            write_whole(item.folder / f"{command}.html", self.plain(text))
+            with calling(WORDS):
+                text = page_text(replace(report, next_command=(), written=()))
+            write_whole(item.folder / f"{command}.html", self._without_folders(text))
