@@ -14,8 +14,6 @@ from undrift.calibration.expanded import expand
 from undrift.errors import InputError
 from undrift.io.store import read_calibration, write_calibration
 from undrift.model import SOURCES, Budget, Calibration
-from undrift.report import Estimate
-from undrift.report.calibration import calibration_report
 from undrift.report.certificate import SOURCE_ROWS, certificate_report, write_certificate
 
 
@@ -181,20 +179,6 @@ def test_what_has_no_covariance_is_refused(calibration: Calibration) -> None:
         certificate_report(bare, {})
     with pytest.raises(InputError, match="expected a calibrated gyroscope or accelerometer, got neither"):
         certificate_report(replace(calibration, gyro=None, accel=None), {})
-
-
-@pytest.mark.parametrize(
-    ("value", "uncertainty", "shown"),
-    [
-        (1.0034567, 0.00123, "1.0035 ± 0.0012"),
-        (-0.061, 0.0021, "-0.0610 ± 0.0021"),
-        (43.491, 0.35, "43.49 ± 0.35"),
-        (1.06427e-9, 3.4e-13, "(1.06427 ± 0.00034)e-9"),
-        (2.5, 0.0, "2.5"),
-    ],
-)
-def test_values_are_rounded_to_their_uncertainty(value: float, uncertainty: float, shown: str) -> None:
-    assert str(Estimate(value, uncertainty)) == shown
 
 
 # ---- what is beside the session

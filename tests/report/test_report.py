@@ -5,9 +5,11 @@ import re
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from testkit.pages import faults_of
 from testkit.terminal import Terminal, on
+from undrift import __version__
 from undrift.findings import finding
 from undrift.report import Estimate, Report, Table
 from undrift.report.page import Origin, page_text
@@ -89,3 +91,38 @@ def test_a_terminal_shows_warnings_first_and_the_rest_with_details():
 def test_a_zero_has_no_sign():
     table = Table(title="Zero", columns=("a",), rows=[(-1e-9,)], form=".3f")
     assert table.cells == [["0.000"]]
+
+
+@pytest.mark.parametrize(
+    ("value", "uncertainty", "shown"),
+    [
+        (1.0034567, 0.00123, "1.0035 ± 0.0012"),
+        (-0.061, 0.0021, "-0.0610 ± 0.0021"),
+        (43.491, 0.35, "43.49 ± 0.35"),
+        (1.06427e-9, 3.4e-13, "(1.06427 ± 0.00034)e-9"),
+        (2.5, 0.0, "2.5"),
+    ],
+)
+def test_values_are_rounded_to_their_uncertainty(value: float, uncertainty: float, shown: str) -> None:
+    assert str(Estimate(value, uncertainty)) == shown
+
+
+# ---- the page
+
+
+def test_a_page_shows_verdict_tables_and_figures_in_order():
+    second = Table(title="Second", figure=lambda: Figure(figsize=(1.0, 1.0)))
+    text = page_text(report(tables=[ANGLES, second, Table.of("Nothing", [], note="Not shown.")]))
+    assert text.startswith("<!doctype html>")
+    order = r'class="verdict marginal".*3 deg/s.*lasts 60.*<th scope=.col.>minimum</th>.*-1.23.*<p>Two rows.</p>.*Second.*<svg'
+    assert re.search(order, text, re.S)
+    assert "Nothing" not in text
+    assert f"undrift {__version__}" in text
+    assert "Verdict" not in page_text(report(findings=[]))
+
+
+def test_what_users_named_is_escaped():
+    text = page_text(Report(title="A <title>", answer="Lead & more", tables=[Table(title="<script>", note="a < b")]))
+    assert "<script" not in text
+    assert "A &lt;title&gt;" in text
+    assert "Lead &amp; more" in text

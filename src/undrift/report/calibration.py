@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from undrift.arrays import FloatArray
+from undrift.arrays import BoolArray, FloatArray
 from undrift.calibration.expanded import expand, gravity_uncertainty
 from undrift.correction.answer import REST_S, TASK_S, WITHIN_K, answer_sentence, pitch_limits
 from undrift.errors import InputError
@@ -42,7 +42,7 @@ def calibration_report(calibration: Calibration) -> Report:
     return Report(
         title=f"Calibration of {calibration.device or 'a device'}",
         answer=answer_sentence(calibration),
-        tables=[*_pitch(calibration), _uncertainty(calibration), *_ranges(calibration.drift)],
+        tables=[_pitch(calibration), _uncertainty(calibration), _ranges(calibration.drift)],
         details=[_parameters(name, model) for name, model in triads.items()],
         notes=[*_origin(calibration), *_parts(calibration)],
         findings=calibration.verdict.findings,
@@ -58,28 +58,20 @@ def triads_of(calibration: Calibration) -> dict[str, TriadModel]:
     return {name: model for name, model in models.items() if model is not None}
 
 
-def _pitch(calibration: Calibration) -> Iterator[Table]:
-    """Yield the limits of the pitch after a rest, away from the temperature of the calibration, and without a rest."""
-    within, note = f"{WITHIN_K:.0f} K", PITCH_NOTE
-    cases = [
+def _pitch(calibration: Calibration) -> Table:
+    """Return the limits of the pitch after a rest, away from the temperature of the calibration, and without a rest."""
+    cases = (
         ("after a rest", True, 0.0),
         (f"after a rest, {within} warmer", True, WITHIN_K),
         ("without a rest", False, 0.0),
-    ]
-    if not math.isfinite(calibration.reference_temp_c):
-        cases = [
-            (f"after a rest, within {within}", True, WITHIN_K),
-            (f"without a rest, within {within}", False, WITHIN_K),
-        ]
-        note += f" The temperature of the calibration was not recorded. The limits hold up to {within} from it."
-    rows = list[tuple[Cell, ...]]()
-    for name, rested, away_k in cases:
+    )
+    rows = list[dict[str, Cell]]()
+    for name, rested, away_k in cases if calibration.gyro is not None else ():
         limits = pitch_limits(calibration, rested=rested, away_k=away_k)
         if limits is not None:
-            rows.append((name, *(limits / RADIAN_PER_DEGREE).tolist()))
-    if rows and calibration.gyro is not None:
-        columns = ("recording", *(f"after {time_s:.0f} s (deg)" for time_s in TASK_S))
-        yield Table(title="Pitch of a sit-to-stand", columns=columns, rows=rows, form=".2f", note=note)
+            cells = zip(TASK_S, (limits / RADIAN_PER_DEGREE).tolist(), strict=True)
+            rows.append({"recording": name} | {f"after {time_s:.0f} s (deg)": limit for time_s, limit in cells})
+    return Table.of("Pitch of a sit-to-stand", rows, form=".2f", note=PITCH_NOTE)
 
 
 def _uncertainty(calibration: Calibration) -> Table:
@@ -168,26 +160,30 @@ def _parts(calibration: Calibration) -> Iterator[str]:
         yield f"The thermometer lags by {drift.lag_s:.2f} s."
 
 
-def _ranges(drift: DriftTables | None) -> Iterator[Table]:
-    """Yield the temperatures of each table."""
-    if drift is None:
-        return
-    parts = [
-        (f"{part} of the {name}", table.temp_c, len(values), getattr(table, f"{name}_extrapolated"))
-        for part, table in (("offset", drift.static), ("matrix", drift.scale))
-        for name in ("gyro", "accel")
-        if table is not None and (values := getattr(table, f"{name}_{part}")) is not None
-    ]
-    if (dynamic := drift.dynamic) is not None:
+def _ranges(drift: DriftTables | None) -> Table:
+    """Return the temperatures of each table."""
+    parts = list[tuple[str, FloatArray, int, BoolArray | None]]()
+    for part, table in () if drift is None else (("offset", drift.static), ("matrix", drift.scale)):
+        for name in ("gyro", "accel"):
+            if table is not None and (values := getattr(table, f"{name}_{part}")) is not None:
+                parts.append(
+                    (f"{part} of the {name}", table.temp_c, len(values), getattr(table, f"{name}_extrapolated"))
+                )
+    if drift is not None and (dynamic := drift.dynamic) is not None:
         low, high = dynamic.turn_rate[[0, -1]] / RADIAN_PER_DEGREE
         part = f"error of the gyro over {low:.0f} to {high:.0f} deg/s"
         parts.append((part, dynamic.temp_c, dynamic.error.size // 3, dynamic.extrapolated))
-    rows = [
-        (part, float(temp_c[0]), float(temp_c[-1]), nodes, 0 if far is None else int(far.sum()))
+    rows: list[dict[str, Cell]] = [
+        {
+            "table": part,
+            "from (degC)": float(temp_c[0]),
+            "to (degC)": float(temp_c[-1]),
+            "nodes": nodes,
+            "extrapolated": 0 if far is None else int(far.sum()),
+        }
         for part, temp_c, nodes, far in parts
     ]
-    columns = ("table", "from (degC)", "to (degC)", "nodes", "extrapolated")
-    yield Table(title="Tables over temperature", columns=columns, rows=rows, form=".2f")
+    return Table.of("Tables over temperature", rows, form=".2f")
 
 
 # ---- figures

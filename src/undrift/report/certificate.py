@@ -40,6 +40,7 @@ SOURCE_ROWS = {
     "prior": ("Fit: not determined by the session", "B", ""),
     "fit": ("Fit: sources not separated", "A, B", ""),
 }
+OPTIONAL_SOURCES = {"angle", "axis", "fit", "gravity", "nonlinearity"}  # without a row if a calibration has none
 METHODS = {  # a method's name and its description on a certificate
     "six-face": "six faces against gravity",
     "rate-table": "steady rates of a rate table, about each axis",
@@ -75,7 +76,7 @@ def certificate_report(calibration: Calibration, limits: Mapping[str, float]) ->
     return Report(
         title=f"Certificate of {calibration.device or 'a device'}",
         answer=answer_sentence(calibration),
-        tables=[_conformity(calibration, limits)] if limits else [],
+        tables=[_conformity(calibration, limits)],
         details=tables,
         findings=calibration.verdict.findings,
         judged=True,
@@ -87,19 +88,15 @@ def write_certificate(calibration: Calibration, path: Path, report: Report, entr
     """Write a certificate as a page for A4, with the entries of the laboratory. The same input gives the same bytes."""
     from jinja2 import Environment, PackageLoader
 
-    provenance, environment = (
-        calibration.provenance,
-        Environment(loader=PackageLoader("undrift", "report"), autoescape=True),
-    )
+    provenance, verdict = calibration.provenance, calibration.verdict
+    environment = Environment(loader=PackageLoader("undrift", "report"), autoescape=True)
     text = environment.get_template("certificate.html.j2").render(
         device=calibration.device or "without serial number",
         date=provenance.created[:10] or "not stated",
         head=[*entries.items(), *((label, "") for label in BY_HAND)],
         software=", ".join(f"{name} {version}" for name, version in provenance.versions) or f"undrift {__version__}",
-        status=calibration.verdict.status,
-        findings=[
-            item.sentence for item in most_consequential_first(calibration.verdict.findings) if item.level != "info"
-        ],
+        status=verdict.status,
+        findings=[item.sentence for item in most_consequential_first(verdict.findings) if item.level != "info"],
         conditions=[*_conditions(calibration)],
         tables=[*report.tables, *report.details],
         references=[*_references(calibration)],
@@ -115,27 +112,26 @@ def write_certificate(calibration: Calibration, path: Path, report: Report, entr
 
 def _results(name: str, model: TriadModel, table: ParameterTable) -> Table:
     """Return each parameter with its expanded uncertainty, in its own unit and in that of the budget."""
-    rows, units = list[tuple[Cell, ...]](), budget_units(name, model)
-    for n, parameter in enumerate(table.names):
-        value, expanded = float(table.value[n]), float(table.expanded[n])
+    rows, units = list[dict[str, Cell]](), budget_units(name, model)
+    for parameter, value, expanded in zip(table.names, table.value.tolist(), table.expanded.tolist(), strict=True):
         (factor, unit), fixed = units[block_of(parameter)], not expanded > 0.0
-        cell: Cell = value if fixed else Estimate(value, expanded)
-        size = None if fixed else abs(factor) * expanded
-        rows.append((parameter, cell, parameter_unit(parameter, model), size, unit))
+        rows.append(
+            {
+                "parameter": parameter,
+                "value ± U": value if fixed else Estimate(value, expanded),
+                "unit": parameter_unit(parameter, model),
+                "U": None if fixed else abs(factor) * expanded,
+                "unit of U": unit,
+            }
+        )
     equation = "corrected = M (raw - o)" + (" - G a" if model.g_sensitivity is not None else "")
     equation += " - d in motion" if model.moving_offset is not None else ""
     note = (
         f"{equation}. Expanded uncertainty U = k u with k = 2, at a coverage probability of about 95 %. A parameter without U is "
         "fixed."
     )
-    columns = ("parameter", "value ± U", "unit", "U", "unit of U")
-    return Table(
-        title=f"{NAMES[name].capitalize()}: results",
-        columns=columns,
-        rows=rows,
-        form={"value ± U": ".6g", "U": ".2g"},
-        note=note,
-    )
+    form = {"value ± U": ".6g", "U": ".2g"}
+    return Table.of(f"{NAMES[name].capitalize()}: results", rows, form=form, note=note)
 
 
 def _budget(name: str, model: TriadModel, table: ParameterTable) -> Table:
@@ -165,18 +161,9 @@ def _budget(name: str, model: TriadModel, table: ParameterTable) -> Table:
     )
 
 
-OPTIONAL_SOURCES = {
-    "angle",
-    "axis",
-    "fit",
-    "gravity",
-    "nonlinearity",
-}  # without a row if a calibration does not have them
-
-
 def _conformity(calibration: Calibration, limits: Mapping[str, float]) -> Table:
     """Return a row for each limit of a triad that is calibrated."""
-    triads, rows = triads_of(calibration), list[tuple[Cell, ...]]()
+    triads, rows = triads_of(calibration), list[dict[str, Cell]]()
     for key, limit in limits.items():
         name, block = key.split("_")[:2]
         if (model := triads.get(name)) is None:
@@ -188,24 +175,28 @@ def _conformity(calibration: Calibration, limits: Mapping[str, float]) -> Table:
         elif not expanded > 0.0:
             result = "not calibrated"
         rows.append(
-            (f"{NAMES[name]}: {BLOCKS[block]}", departure, expanded, limit, budget_units(name, model)[block][1], result)
+            {
+                "quantity": f"{NAMES[name]}: {BLOCKS[block]}",
+                "largest departure": departure,
+                "U": expanded,
+                "limit": limit,
+                "unit": budget_units(name, model)[block][1],
+                "result": result,
+            }
         )
-    columns = ("quantity", "largest departure", "U", "limit", "unit", "result")
-    return Table(title="Statement of conformity", columns=columns, rows=rows, note=RULE)
+    return Table.of("Statement of conformity", rows, note=RULE)
 
 
 def departures(name: str, model: TriadModel, gravity: float = 0.0) -> dict[str, tuple[float, float]]:
     """Return the largest departure of the readings from nominal and its U, in the units of the budget, or NaN if unknown."""
-    table, units, nominal = expand(model, gravity), budget_units(name, model), math.nan
+    table, units = expand(model, gravity), budget_units(name, model)
+    unknown = np.full(3, math.nan)
+    values = {"scale": unknown, "offset": unknown}
     if is_physical(model.unit_in):
         nominal = 1.0 / si_factor(model.unit_in, "rate" if name == "gyro" else "accel")
-    values = {
-        "scale": 100.0 * (model.scale_factor / nominal - 1.0),
-        "cross": (100.0 * model.matrix / np.diag(model.matrix).mean())[~np.eye(3, dtype=bool)],
-        "offset": np.full(3, math.nan)
-        if math.isnan(nominal)
-        else model.offset / model.scale_factor * SHOWN_UNIT[name][1],
-    }
+        values["scale"] = 100.0 * (model.scale_factor / nominal - 1.0)
+        values["offset"] = model.offset / model.scale_factor * SHOWN_UNIT[name][1]
+    values["cross"] = (100.0 * model.matrix / np.diag(model.matrix).mean())[~np.eye(3, dtype=bool)]
     largest = dict[str, tuple[float, float]]()
     for block, departure in values.items():
         expanded, k = np.abs(units[block][0] * table.expanded[table.of_block(block)]), int(abs(departure).argmax())
