@@ -19,7 +19,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from undrift.base.codec import Key, stored
+from pydantic import Field
+
+from undrift.base.codec import As, FileTable, stored, to_null, tree_of
 from undrift.base.spoken import spoken_finding
 
 Level = Literal["info", "warn", "fail"]

@@ -14,6 +14,7 @@ from undrift.calibration.expanded import expand
 from undrift.errors import InputError
 from undrift.io.store import read_calibration, write_calibration
 from undrift.model import SOURCES, Budget, Calibration
+from undrift.report.calibration import calibration_report
 from undrift.report.certificate import SOURCE_ROWS, certificate_report, write_certificate
 
 

@@ -26,7 +26,7 @@ def trial(time, pitch):
     """Return what is drawn of a trial."""
     error = SimpleNamespace(total=0.002 * rng.normal(size=len(time)), inclination=0.0 * time, pitch=0.0 * time)
     return SimpleNamespace(
-        recording="walk", time=time, reference_pitch=pitch, sensor_pitch=pitch + 0.01, error=error, moving=1.0 * (time > 3.0)
+        recording="walk", time=time, reference_pitch=pitch, sensor_pitch=pitch + 0.01, error=error, moving=time > 3.0
     )  # fmt: skip
 
 

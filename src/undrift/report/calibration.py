@@ -60,18 +60,25 @@ def triads_of(calibration: Calibration) -> dict[str, TriadModel]:
 
 def _pitch(calibration: Calibration) -> Table:
     """Return the limits of the pitch after a rest, away from the temperature of the calibration, and without a rest."""
-    cases = (
+    within, note = f"{WITHIN_K:.0f} K", PITCH_NOTE
+    cases = [
         ("after a rest", True, 0.0),
         (f"after a rest, {within} warmer", True, WITHIN_K),
         ("without a rest", False, 0.0),
-    )
+    ]
+    if not math.isfinite(calibration.reference_temp_c):
+        cases = [
+            (f"after a rest, within {within}", True, WITHIN_K),
+            (f"without a rest, within {within}", False, WITHIN_K),
+        ]
+        note += f" The temperature of the calibration was not recorded. The limits hold up to {within} from it."
     rows = list[dict[str, Cell]]()
     for name, rested, away_k in cases if calibration.gyro is not None else ():
         limits = pitch_limits(calibration, rested=rested, away_k=away_k)
         if limits is not None:
             cells = zip(TASK_S, (limits / RADIAN_PER_DEGREE).tolist(), strict=True)
             rows.append({"recording": name} | {f"after {time_s:.0f} s (deg)": limit for time_s, limit in cells})
-    return Table.of("Pitch of a sit-to-stand", rows, form=".2f", note=PITCH_NOTE)
+    return Table.of("Pitch of a sit-to-stand", rows, form=".2f", note=note)
 
 
 def _uncertainty(calibration: Calibration) -> Table:

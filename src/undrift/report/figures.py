@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from markupsafe import escape
 
-from undrift.arrays import BoolArray, FloatArray, runs
+from undrift.arrays import FloatArray, runs
 from undrift.errors import InputError
 from undrift.files import write_whole
 from undrift.io.symptoms import saturated_runs
@@ -311,7 +311,7 @@ def draw_levels(trials: Sequence["Trial"]) -> "Figure":
 
 def _motion_of(trial: "Trial") -> list[tuple[float, float]]:
     """Return start and end of each motion, s."""
-    return [(float(trial.time[start]), float(trial.time[stop - 1])) for start, stop in runs(trial.moving > 0.0)]
+    return [(float(trial.time[start]), float(trial.time[stop - 1])) for start, stop in runs(trial.moving)]
 
 
 # ---- a recording, and what was found in it

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from undrift.base.codec import tree_of
 from undrift.report.figures import draw_figure3, draw_sessions
 from undrift.report.report import Cell, Report, Table
 from undrift.sim.motion.tasks import TABLE_2, cohort
@@ -314,5 +313,5 @@ def _json(outcome: StudyOutcome) -> dict[str, Any]:
         }
         for task in outcome.tasks
     ]
-    settings = {key: getattr(outcome.study, key) for key in keys} | {"bench": tree_of(outcome.study.bench)}
+    settings = {key: getattr(outcome.study, key) for key in keys} | {"bench": outcome.study.bench.model_dump()}
     return settings | {"subjects": outcome.subjects, "for_all": outcome.for_all, "tasks": tasks}
