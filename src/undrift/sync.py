@@ -96,12 +96,13 @@ STILL = 1e-9  # relative to the largest variance: a side that does not turn
 
 def coarse_lag(time: FloatArray, gyro: FloatArray, rates: PoseRates, longest_lag_s: float) -> float:
     """Return the lag, s, with the largest correlation between readings and rates, and of equal lags the wider overlap."""
+    from scipy.signal import fftconvolve
+
     middle = 0.5 * (rates.start + rates.stop)
     width = CELL_S * max(1, *(round(float(np.median(np.diff(t))) / CELL_S) for t in (time, middle)))
     start = min(time[0], middle[0])
     count = int((max(time[-1], middle[-1]) - start) / width) + 1
     reach = min(int(longest_lag_s / width) + 1, count - 1)
-    size = 1 << (2 * count - 1).bit_length()
     (u, m), (w, n) = (
         _cell_means(np.floor((t[valid] - start) / width).astype(np.int64), values[valid], count)
         for t, values, valid in ((time, gyro, np.isfinite(gyro).all(axis=1)), (middle, rates.rate, rates.valid))
@@ -109,9 +110,7 @@ def coarse_lag(time: FloatArray, gyro: FloatArray, rates: PoseRates, longest_lag
 
     def summed(first: FloatArray, second: FloatArray) -> FloatArray:
         """Return sums over cells, (shifts, ...): cell k + s of the record meets cell k of the reference."""
-        spectrum = np.fft.rfft(first, size, axis=0) * np.conj(np.fft.rfft(second, size, axis=0))
-        correlation = np.fft.irfft(spectrum, size, axis=0)
-        return np.concatenate((correlation[size - reach :], correlation[: reach + 1]))
+        return np.asarray(fftconvolve(first, second[::-1], axes=0)[count - 1 - reach : count + reach])
 
     overlap = np.round(summed(m, n))[:, 0]
     enough = overlap >= max(LEAST_OVERLAP * min(m.sum(), n.sum()), LEAST_CELLS)

@@ -240,15 +240,6 @@ def test_a_chunk_that_comes_again_is_refused_and_the_state_stays():
     assert corrector.state == before
 
 
-@pytest.mark.parametrize("drift", [None, tables(), tables(static=None)], ids=["constant", "tables", "dynamic"])
-def test_stream_reports_each_finding_of_the_batch_once(drift):
-    c, r = device(drift=drift), record(low=10.0, high=80.0)
-    _, corrector = streamed(c, r, [*range(0, N, 29), N], "hold")
-    batch = correct_checked(r, c, policy="hold").warnings
-    assert batch
-    assert tuple(item.text for item in corrector.findings) == batch
-
-
 def test_seconds_of_a_stream_are_those_of_the_batch():
     rng = np.random.default_rng(8)
     r = record(low=0.0, high=90.0)

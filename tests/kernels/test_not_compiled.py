@@ -16,7 +16,7 @@ CALLERS = (
 # Every kernel and its corners once; the rest of the callers' tests says nothing more of the source.
 CHOSEN = (
     "kernels or every_step_agrees and -g-truncated or long_records and 257 or gap or hold_keeps or on_each_side "
-    "or of_the_batch_once or seconds_of_a_stream or ideal_readings or not_depend_on_the_length"
+    "or seconds_of_a_stream or ideal_readings or not_depend_on_the_length"
 )
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from undrift.frames import quaternion_product
 from undrift.record import Record, Reference
 
 FINE_HZ = 2000.0
@@ -100,30 +101,15 @@ def turning_rate_at_middle(w):
     return 0.5 * (w + np.concatenate((w[1:], w[-1:])))
 
 
-def product(p, q):
-    """Quaternions w-x-y-z, one after the other."""
-    a, b, c, d = np.moveaxis(p, -1, 0)
-    w, x, y, z = np.moveaxis(q, -1, 0)
-    return np.stack(
-        (
-            a * w - b * x - c * y - d * z,
-            a * x + b * w + c * z - d * y,
-            a * y - b * z + c * w + d * x,
-            a * z + b * y - c * x + d * w,
-        ),
-        axis=-1,
-    )
-
-
 def running_product(q):
     """Product of all quaternions up to each: many short runs side by side, then from run to run."""
     n = len(q)
     width = round(np.sqrt(n))
     runs = np.vstack((q, np.tile((1.0, 0.0, 0.0, 0.0), (-n % width, 1)))).reshape(-1, width, 4)
     for k in range(1, width):
-        runs[:, k] = product(runs[:, k - 1], runs[:, k])
+        runs[:, k] = quaternion_product(runs[:, k - 1], runs[:, k])
     for k in range(1, len(runs)):
-        runs[k] = product(runs[k - 1, -1], runs[k])
+        runs[k] = quaternion_product(runs[k - 1, -1], runs[k])
     return runs.reshape(-1, 4)[:n]
 
 
