@@ -46,7 +46,9 @@ ACROSS_B = np.stack((AXES_B[[1, 2, 0]], AXES_B[[2, 0, 1]]))  # two directions ac
 
 # Dwells of a session at room temperature, one row each: kind is FACE, REST or RATE, axis (0 to 2) points up and is turned about,
 # face is the number in FACES, rate is commanded about +axis, rad/s. start_s (since power-on) and duration_s are of the readings.
-COLUMNS = "kind, axis, face, rate, start_s, duration_s"
+COLUMNS = np.dtype(
+    [(name, int) for name in ("kind", "axis", "face")] + [(name, float) for name in ("rate", "start_s", "duration_s")]
+)
 TableSession: TypeAlias = "np.recarray[Any, Any]"
 
 
@@ -55,24 +57,13 @@ def lay_out(protocol: Protocol) -> TableSession:
     """Lay out the session of a protocol in time."""
     if protocol.rates is None:
         raise InputError("study: the protocol has no rates. Add the table [rates].")
-    dwells, starts, clock = list[Dwell](), list[float](), WARMED_UP_S
+    kinds, rows, clock = {"face": FACE, "bracket": REST, "rate": RATE}, list[tuple[float, ...]](), WARMED_UP_S
     for step in programme_of(protocol.with_faces_at_room()).steps:
         if isinstance(step, Dwell):
-            dwells.append(step)
-            starts.append(clock + step.ramp_s + step.settle_s)
+            axis, face, start_s = "xyz".index(step.up[1]), FACES.index(step.up), clock + step.ramp_s + step.settle_s
+            rows.append((kinds[step.purpose], axis, face, step.turn_rate, start_s, step.dwell_s))
         clock += step.duration_s
-    kinds = {"face": FACE, "bracket": REST, "rate": RATE}
-    return np.rec.fromarrays(
-        (
-            np.array([kinds[dwell.purpose] for dwell in dwells]),
-            np.array(["xyz".index(dwell.up[1]) for dwell in dwells]),
-            np.array([FACES.index(dwell.up) for dwell in dwells]),
-            np.array([dwell.turn_rate for dwell in dwells]),
-            np.array(starts),
-            np.array([dwell.dwell_s for dwell in dwells]),
-        ),
-        names=COLUMNS,
-    )
+    return np.array(rows, dtype=COLUMNS).view(np.recarray)
 
 
 class BenchDraws:
@@ -83,9 +74,8 @@ class BenchDraws:
 
     def __init__(self, rng: np.random.Generator, turns: Sequence[np.random.Generator]) -> None:
         draws = [(generator.standard_normal((6, 4)), generator.uniform(size=(6, 2))) for generator in turns]
-        normals, self.start = (
-            np.concatenate(arrays) for arrays in zip(*draws, strict=True)
-        )  # phase of encoder, azimuth
+        # start (6 U, 2) is the phase of the encoder and the azimuth
+        normals, self.start = (np.concatenate(arrays) for arrays in zip(*draws, strict=True))
         self.wobble, self.servo = normals[:, :3], normals[:, 3]
         self.mount, self.level = (
             rng.standard_normal((3, 3)),
