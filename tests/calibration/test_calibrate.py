@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from testkit.findings import only
+from undrift.calibration import table
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.settings import CalibrateSettings
 from undrift.errors import InputError, NotObservable
@@ -33,6 +34,14 @@ def test_mode_paper_removes_the_offset_first_and_reports_it():
     assert relative(calibration.accel, DEVICE.accel) < 2e-3
     assert relative(calibration.gyro, DEVICE.gyro) < 2e-3
     assert np.abs(calibration.accel.offset).max() > 0.0
+
+
+def test_mode_paper_filters_dwells_with_the_spline_of_the_note(monkeypatch):
+    cutoffs = []
+    monkeypatch.setattr(table, "spline_filter", lambda time, values, cutoff_hz: cutoffs.append(cutoff_hz) or values)
+    for mode in ("affine", "paper"):
+        calibrate(made("rate_table"), gyro="rate-table", mode=mode)
+        assert set(cutoffs) == ({5.0} if mode == "paper" else set())
 
 
 @pytest.mark.slow

@@ -238,6 +238,7 @@ def axes_missing(turn_axes: Sequence[str], unit: str, cross_axis_prior: float) -
 # |e|, the median over the rows minus one for every parameter that the fit makes exact, and beyond 2 % of the largest rate. The
 # curvature of a sound sensor, its g-sensitivity, and the ripple of a table are smaller.
 
+NOTE_CUTOFF_HZ = 5.0  # Hz, of the note's spline filter in mode paper; the note states no value. Assumed.
 SCATTERS = 8.0  # times the typical error, beyond the tails of noise, wobble or drift in a few tens of dwells
 SHARE = 0.02  # relative to the largest rate
 LEAST_SPARE = 4  # equations beyond the parameters of a sensor, so that a false dwell is recognisable
@@ -279,7 +280,10 @@ def calibrate_rates(observed: Observed, mode: Mode, accel: TriadFit | None) -> T
     turns = [turn for turn in session.turns if turn.axis is not None and turn.turn_rate is not None]
     if not turns:
         raise NotObservable(NO_TURNS)
-    dwells = dwell_means(session.records, turns, settle_s=settings.settle_s, cutoff_hz=settings.spline_cutoff_hz)
+    cutoff_hz = settings.spline_cutoff_hz
+    if mode == "paper" and cutoff_hz is None:
+        cutoff_hz = NOTE_CUTOFF_HZ
+    dwells = dwell_means(session.records, turns, settle_s=settings.settle_s, cutoff_hz=cutoff_hz)
     turn_axes = tuple(axis for axis in AXES if axis in dwells.axis)
     model = None if accel is None else accel.model
     axes = table_axes(

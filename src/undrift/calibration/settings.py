@@ -41,7 +41,8 @@ class CalibrateSettings:
     polynomial_degree : int
         Degree of the polynomial in time that filters each face before it is averaged. It determines the noise of the mean.
     spline_cutoff_hz : float or None
-        Cut-off of the note's cubic spline, Hz, which low-pass filters each dwell at a known rate. None applies no filter.
+        Cut-off of the note's cubic spline, Hz, which low-pass filters each dwell at a known rate. None applies 5 Hz in mode paper,
+        and no filter in mode affine.
     cross_axis_prior : float
         Standard deviation of a cross-axis term that the session does not determine, relative to the scale (0.01 is 1 %).
     identify_adc : bool
