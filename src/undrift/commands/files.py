@@ -191,9 +191,10 @@ class Reader:
         """Read a recording in chunks if it is a Parquet file, for constant memory. Read others whole."""
         with self._naming_map(path):
             how = None if detect(path) == "session" else self.how(path)
-            if how is None or not is_streamed(path, how):
-                yield self.read(path)
-                return
+        if how is None or not is_streamed(path, how):
+            yield self.read(path)
+            return
+        with self._naming_map(path):
             if not how.columns:
                 names = parquet_names(path)
                 self.notes += native_map(names, how, source=str(path)).unread(names)
