@@ -10,10 +10,11 @@ Open ``formats`` first: a table of all formats, and ``read_record``.
 
     formats     which reader a file takes, by its content            columns    from named columns and a map to a Record
     text, parquet, libraries, mocap               tables, binary recordings, markers
-    labelled    tables that contain their units                      dialects   text exports of makers, a map of TOML each
+    labels      content of a column from its name and unit           labelled   tables that contain their units
+    dialects    text exports of makers, a map of TOML each           guess      maps that a person may edit
     phone       the folder or zip of a phone                         log        lines of a serial port
     reference   poses and anatomical bodies                          clock      a regular clock for stamps of a host
-    session     session.toml                                         guess      maps that a person may edit
-    inspect     content of a file, and symptoms                      store      calibration.json
+    inspect     content of a file                                    symptoms   what looks wrong with a recording
+    session     session.toml                                         store      calibration.json
     write       recordings and orientations by ending                imucal     calibrations of imucal
 """

@@ -178,23 +178,17 @@ def _losses(elapsed: FloatArray, up: FloatArray, step: float, least: float) -> I
 # ---- stamps of a host
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HostStamps:
-    """Evidence that time stamps are from the host."""
-
-    low_ms: float  # Nine of ten steps between stamps are longer
-    high_ms: float  # Nine of ten are shorter
-    fit: ClockFit
-
-
 _UNEVEN = (0.5, 1.5)  # of the mean step: one of ten steps beyond either
 _CATCHES_UP = 0.35  # variance of the time over many samples, divided by the variance of independent steps
 _SPAN = 64  # samples
 _NORMAL = 2.563  # standard deviations between the 10 % and 90 % quantiles of a normal distribution
 
 
-def host_stamps(stamps: FloatArray) -> HostStamps | None:
-    """Return True if stamps come from a host: they are uneven, and a late stamp is followed by a short step."""
+def host_clock(stamps: FloatArray) -> ClockFit | None:
+    """Return the regular clock of stamps that come from a host, or None for other stamps.
+
+    Stamps of a host are uneven, and a late stamp is followed by a short step.
+    """
     if len(stamps) < LEAST_SAMPLES:
         return None
     steps = np.diff(stamps)
@@ -207,10 +201,9 @@ def host_stamps(stamps: FloatArray) -> HostStamps | None:
     if (float(np.ptp(over)) / _NORMAL) ** 2 > _CATCHES_UP * _SPAN * step_variance:
         return None
     try:
-        fit = fit_clock(stamps)
+        return fit_clock(stamps)
     except InputError:
         return None
-    return HostStamps(low_ms=1e3 * float(low), high_ms=1e3 * float(high), fit=fit)
 
 
 # ---- counters

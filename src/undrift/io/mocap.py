@@ -148,24 +148,18 @@ def unique_labels(labels: tuple[str, ...] | list[str]) -> tuple[str, ...]:
     return tuple(out)
 
 
-def stated_up(path: Path, up: Up | None, why: str) -> Up:
-    """Return the axis that points up. InputError if it is not given."""
+def markers_of(
+    path: Path, labels: tuple[str, ...], points: FloatArray, time: FloatArray, *, up: Up | None, why: str = "the file"
+) -> Markers:
+    """Return marker trajectories in the level frame. The axis that points up must be given."""
     if up is None:
         raise InputError(
             f"{path}: expected the axis that points up, got none. {why} does not contain it. Set up = 'y' or 'z', or the "
             "option --reference-up.",
             missing="up",
         )
-    return up
-
-
-def markers_of(
-    path: Path, labels: tuple[str, ...], points: FloatArray, time: FloatArray, *, up: Up | None, why: str = "the file"
-) -> Markers:
-    """Return marker trajectories in the level frame. The axis that points up must be given."""
-    points = level_from(points, stated_up(path, up, why))
     with naming(path):
-        return Markers(labels=unique_labels(labels), time=time, points=points, name=path.name)
+        return Markers(labels=unique_labels(labels), time=time, points=level_from(points, up), name=path.name)
 
 
 def _mean_shape(points: FloatArray, complete: BoolArray) -> FloatArray:
@@ -316,7 +310,7 @@ _HEAD = ("DataRate", "NumMarkers", "Units")
 
 def read_trc(path: str | Path, up: Up | None = None) -> Markers:
     """Read marker trajectories from a TRC file."""
-    path, up = Path(path), stated_up(Path(path), up, "TRC")
+    path = Path(path)
     try:
         lines = read_bytes(path).decode("utf-8").splitlines()
     except UnicodeDecodeError as error:

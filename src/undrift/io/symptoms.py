@@ -8,7 +8,7 @@ import numpy as np
 
 from undrift.arrays import FloatArray, IntArray, runs
 from undrift.findings import Finding, finding
-from undrift.io.clock import host_stamps
+from undrift.io.clock import host_clock
 from undrift.io.column_map import AXES
 from undrift.record import Record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
@@ -105,13 +105,13 @@ def _temperature(record: Record) -> Iterator[Finding]:
 
 
 def check_sampling(time: FloatArray) -> Iterator[Finding]:
-    stamps = host_stamps(time)
-    if stamps is not None:
-        fit = stamps.fit
+    steps = np.diff(time)
+    if (fit := host_clock(time)) is not None:
+        low_ms, high_ms = 1e3 * np.quantile(steps, (0.1, 0.9))
         yield finding(
             "recording.host_clock",
             "warn",
-            f"The time stamps are the host's (steps of {stamps.low_ms:.3g} to {stamps.high_ms:.3g} ms). A regular clock of "
+            f"The time stamps are the host's (steps of {low_ms:.3g} to {high_ms:.3g} ms). A regular clock of "
             f"{fit.sample_rate_hz:.5g} Hz fits, with stamps up to {1e3 * fit.jitter_s:.3g} ms late and {fit.missing} samples "
             "missing.",
             "Read it with clock = 'regular' in a map.",
@@ -121,7 +121,6 @@ def check_sampling(time: FloatArray) -> Iterator[Finding]:
             missing=fit.missing,
         )
         return
-    steps = np.diff(time)
     low, middle, high = np.quantile(steps, 0.25), float(np.median(steps)), np.quantile(steps, 0.75)
     if high - low > UNEVEN * middle:
         sentence = f"The sampling is uneven: half of the steps lie outside {1e3 * low:.4g} to {1e3 * high:.4g} ms."
