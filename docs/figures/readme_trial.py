@@ -33,9 +33,10 @@ def errors() -> tuple[np.ndarray, dict[str, np.ndarray], dict[str, float]]:
     folder = Path(os.environ.get("UNDRIFT_DATA", "../shared/data")) / "broad"
     pairs = [read_broad(next(folder.glob(f"{number}_*.hdf5"))) for number in (SHOWN, OTHER)]
     records, references = zip(*pairs, strict=True)
-    held = leave_one_out(records, references, adc=device_adc(records))[0]
+    adc = device_adc(records)
+    held = leave_one_out(records, references, adc=adc)[0]
     calibration = Calibration(
-        device="D", reference_temp_c=np.nan, gravity_m_s2=STANDARD_GRAVITY, gyro=held.model, adc=held.adc
+        device="D", reference_temp_c=np.nan, gravity_m_s2=STANDARD_GRAVITY, gyro=held.model, adc=adc
     )
     trials = {
         "raw": validate_trial(records[0], references[0]),
