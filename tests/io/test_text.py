@@ -9,6 +9,7 @@ import pytest
 from testkit.column_maps import column_map
 from testkit.strategies import assert_same, one_line
 from undrift.errors import FileFormatError, InputError
+from undrift.io import text
 from undrift.io.column_map import READ_SETTINGS, ChannelScale, TextLayout
 from undrift.io.columns import ReadResult, build_record
 from undrift.io.text import Appender, read_csv, write_csv
@@ -48,16 +49,32 @@ def test_a_first_row_of_readings_is_no_header_and_is_not_lost(tmp_path):
         read_text(put(tmp_path, "\n".join(rows())), XYZ)
 
 
+@pytest.fixture
+def pieces(monkeypatch):
+    """Texts are parsed 64 bytes at a time; the sizes of the pieces."""
+    sizes, parsed = [], text._parse_rows
+    monkeypatch.setattr(text, "_PIECE", 64)
+    monkeypatch.setattr(
+        text, "_parse_rows", lambda *given, **how: sizes.append(len(bytes(given[1]))) or parsed(*given, **how)
+    )
+    return sizes
+
+
 @pytest.mark.parametrize("name", ["r.csv", "r.csv.gz"])
-def test_quoted_cells_and_blank_lines_are_read(tmp_path, name):
+def test_a_text_in_pieces_reads_as_in_one(tmp_path, pieces, monkeypatch, name):
     lines = [f'"{row}"'.replace(",", '","') if k % 3 else row for k, row in enumerate(rows(40))]
     content = "\n".join(["\ufefft,x,y,z", *lines[:20], *[""] * 100, *lines[20:]]).encode()
-    quoted = read_text(put(tmp_path, gzip.compress(content) if name.endswith("gz") else content, name), XYZ)
-    assert_same(quoted.record, read_text(put(tmp_path, table(rows(40)), "plain.csv"), XYZ).record)
+    path = put(tmp_path, gzip.compress(content) if name.endswith("gz") else content, name)
+    several = read_text(path, XYZ).record
+    assert len(pieces) > 10
+    assert max(pieces) <= 64
+    monkeypatch.setattr(text, "_PIECE", 1 << 24)
+    assert_same(read_text(path, XYZ).record, several)
+    assert len(several) == 40
 
 
 @pytest.mark.parametrize("bad", ["0.2,0.1,0.1", '0.2,"0.1,0.1,0.1', "0.2,0.1,?,0.1"])
-def test_a_bad_row_is_named_by_its_place(tmp_path, bad):
+def test_a_bad_row_of_a_later_piece_is_named_by_its_place(tmp_path, pieces, bad):
     path = put(tmp_path, table([*rows(30), bad, *rows(40)[31:]]))
     with pytest.raises(FileFormatError, match="in data row 31 "):
         read_text(path, XYZ)

@@ -13,7 +13,7 @@ import json
 import os
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,10 +24,13 @@ import numpy as np
 from undrift.arrays import FloatArray
 from undrift.errors import FileFormatError
 from undrift.files import (
+    MOST_BYTES,
     checked_file,
     is_gzip,
     read_bytes,
+    read_so_far,
     read_tree,
+    too_large,
     unwritten,
     write_together,
 )
@@ -52,6 +55,7 @@ _HEAD = 1 << 20  # bytes at the start
 _LINES = 1 << 16  # bytes at the start, in which the layout is found
 _NUMERIC = 0.6  # of the filled cells of a row of readings, and of units
 _NO_LINE_END = "the last row has no line end: it may be cut"
+_PIECE = 1 << 24  # bytes that are parsed at a time
 _LINE = 1 << 12  # bytes of the end in which blank lines are looked for
 _INK = re.compile(rb"\S")
 _BLANK_END = re.compile(rb"(?:\n[ \t\r,;]*)+\Z")  # lines at the end without a cell that is filled
@@ -388,25 +392,56 @@ def _are_units(cells: list[str]) -> bool:
 
 
 def parse_text(text: Text, wanted: tuple[Column, ...]) -> RawTable:
-    """Parse the rows of a text table: all at once, or row by row if they do not parse so."""
+    """Parse the rows of a text table: piece by piece, or row by row if they do not parse so."""
     import pyarrow as pa
 
     positions = [find_column(text.names, column, str(text.path)) for column in wanted]
-    content = read_bytes(text.path) if text.content is None else text.content
     start = sum(map(len, text.head.splitlines(keepends=True)[: text.skip]))
-    blank = _BLANK_END.search(content, max(start, len(content) - _LINE))
-    rows = memoryview(content)[start : blank.start() + 1 if blank else len(content)]
-    if not _INK.search(rows):
+    if not text.head[start:].strip():
         return RawTable(source=str(text.path), names=text.names, columns=tuple(np.empty(0) for _ in text.names))
-    # Arrow would take all rows after a quote that does not close into one cell
-    quotes = content.find(b'"', start) >= 0 and any(row.count(b'"') % 2 for row in bytes(rows).split(b"\n"))
-    table = None
-    if not quotes:
-        with suppress(pa.ArrowInvalid, pa.ArrowTypeError):  # a bad row
-            columns = tuple(_parse_rows(text, pa.py_buffer(rows), positions).columns)
-            table = RawTable(source=str(text.path), names=text.names, columns=columns)
-    table = table or _parse_by_row(text, bytes(rows), positions)
-    return table if content.endswith((b"\n", b"\r")) else replace(table, notes=(_NO_LINE_END,))
+    size = text.path.stat().st_size if text.content is None else len(text.content)
+    try:
+        parsed = pa.concat_tables(_pieces(text, start, size, positions), promote_options="permissive")
+        table = RawTable(source=str(text.path), names=text.names, columns=tuple(parsed.columns))
+    except (pa.ArrowInvalid, pa.ArrowTypeError):  # a bad row, or another column that changes from numbers to words
+        table = _parse_by_row(text, positions)
+    return table if _ends_with_line(text) else replace(table, notes=(_NO_LINE_END,))
+
+
+def _ends_with_line(text: Text) -> bool:
+    """Return whether the last line of a text has its end."""
+    if text.content is not None:
+        return text.content.endswith(b"\n")
+    with text.path.open("rb") as handle:
+        handle.seek(-1, os.SEEK_END)
+        return handle.read() in (b"\n", b"\r")
+
+
+def _pieces(text: Text, start: int, size: int, positions: list[int]) -> Iterator[Any]:
+    """Yield the rows of a text from its byte ``start`` to ``size``, parsed some megabytes at a time."""
+    import pyarrow as pa
+
+    taken = 0
+    # one buffer for all: fresh memory costs as much as reading into it
+    buffer = bytearray(min(size, _PIECE))
+    with text.path.open("rb") if text.content is None else io.BytesIO(text.content) as handle:
+        handle.seek(start)
+        while end := handle.readinto(buffer):
+            end = buffer.rfind(b"\n", 0, end) + 1 if start + end < size else end  # the rest begins the next piece
+            quotes = buffer.find(b'"', 0, end) >= 0 and any(
+                row.count(b'"') % 2 for row in bytes(buffer[:end]).split(b"\n")
+            )
+            if not end or quotes:  # Arrow would take all rows after a quote that does not close into one cell
+                raise pa.ArrowInvalid("rows that do not end, or quotes that do not close")
+            start = handle.seek(start + end)
+            if start >= size and (blank := _BLANK_END.search(buffer, max(0, end - _LINE), end)):
+                end = blank.start() + 1
+            if _INK.search(buffer, 0, end):
+                yield (table := _parse_rows(text, pa.py_buffer(buffer).slice(0, end), positions))
+                taken += table.nbytes
+            if taken > MOST_BYTES:
+                raise too_large(text.path)
+            read_so_far(text.path, start / size)
 
 
 def _parse_rows(text: Text, rows: Any, numbers: list[int]) -> Any:
@@ -428,9 +463,10 @@ def _parse_rows(text: Text, rows: Any, numbers: list[int]) -> Any:
     )
 
 
-def _parse_by_row(text: Text, content: bytes, positions: list[int]) -> RawTable:
+def _parse_by_row(text: Text, positions: list[int]) -> RawTable:
     """Parse row by row: drop the bad rows, or raise the error of the first."""
-    lines = re.split(r"\r?\n|\r", content.decode("utf-8", "replace"))
+    content = text.content if text.content is not None else read_bytes(text.path)
+    lines = re.split(r"\r?\n|\r", _BLANK_END.sub(b"\n", content).decode("utf-8", "replace"))[text.skip :]
     rows: list[list[Any]] = []
     numbers: list[int] = []  # of these rows in the file, from 0
     bad: list[tuple[int, str]] = []
