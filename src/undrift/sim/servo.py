@@ -57,6 +57,11 @@ class Servo:
         servo(self._state, self.settings, self.powered, self._profile, self._stride, angles)
         return times, angles
 
+    @property
+    def moving(self) -> bool:
+        """Whether the reference moves: a turn, or the way to rest, is not over."""
+        return self.time < float(self._profile[-1, 0])
+
     def reference(self) -> tuple[float, float]:
         """Return commanded position and speed, counts and counts/s."""
         start, position, speed, acceleration = self._profile[np.searchsorted(self._profile[1:, 0], self.time, "right")]
