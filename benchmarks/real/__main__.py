@@ -130,7 +130,7 @@ def main() -> int:
             print("    " + "; ".join(f"{k} {v:.3g}" for k, v in results[name]["rivals"].items()), flush=True)
     if options.write:
         former = {row["name"]: row for row in json.loads(RESULTS.read_text())["rows"]} if RESULTS.exists() else {}
-        rows = [{**former.get(name, {}), **limits["rows"][name], **results.get(name, {})} for name in ROWS
+        rows = [{**(results.get(name) or former[name]), **limits["rows"][name]} for name in ROWS
             if name in former or name in results]  # fmt: skip
         content = {"made": str(date.today()), "rows": rows, "left_out": limits["left_out"]}
         RESULTS.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

@@ -35,8 +35,9 @@ from undrift.findings import Finding, finding
 from undrift.frames import (
     integrate_strapdown,
     quaternion_conjugate,
+    quaternion_of,
     quaternion_product,
-    rotation,
+    rotation_vector,
 )
 from undrift.model import BodyMounting, Calibration, TriadModel
 from undrift.orientation import (
@@ -441,9 +442,10 @@ def _without_offset(
 
 def orientation_at(time: FloatArray, q_nb: FloatArray, times: FloatArray) -> FloatArray:
     """Return a track's orientation at other times, along the great arc between samples: times (M,) s -> (M, 4)."""
-    from scipy.spatial.transform import Slerp
-
-    q = Slerp(time, rotation(q_nb))(np.clip(times, time[0], time[-1])).as_quat(scalar_first=True)
+    k = np.clip(np.searchsorted(time, times, side="right") - 1, 0, len(time) - 2)
+    share = (times - time[k]) / (time[k + 1] - time[k])
+    step = rotation_vector(quaternion_product(quaternion_conjugate(q_nb[k]), q_nb[k + 1]))
+    q = quaternion_product(q_nb[k], quaternion_of(step * share[:, None]))
     inside = (times >= time[0]) & (times <= time[-1])
     return np.where(inside[:, None], q, np.nan)
 
