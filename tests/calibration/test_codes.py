@@ -123,7 +123,10 @@ def test_variance_of_a_mean_of_codes_is_that_of_rounded_noise(noise: float) -> N
     square = float(((codes.mean(axis=1) - place) ** 2).mean())
     scatter = float(codes.var(axis=1, ddof=1).mean())
     residual = code_variance(np.array([3.0, np.nan, 0.0]), 9.0 * np.full(3, scatter))
-    np.testing.assert_array_equal(residual[1:], 0.0)  # a step that is not known, and none
+    window = 3.0 * np.tile(codes[0][:, None], 3)
+    with_window = code_variance(np.array([3.0, np.nan, 0.0]), 9.0 * np.full(3, scatter), [window])
+    for variance in (residual, with_window):
+        np.testing.assert_array_equal(variance[1:], 0.0)  # a step that is not known, and none
     assert residual[0] / 9.0 == pytest.approx(square - scatter / 4000, rel=0.1, abs=3e-5)
 
 

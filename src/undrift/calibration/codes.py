@@ -17,8 +17,8 @@ scatter by S::
     S = s^2 + q^2 / 12 - Q
 
 At a single position S does not determine s: readings that toggle between two codes, a share p of them in the upper one, scatter by
-p (1 - p) q^2 for any small s. x then lies anywhere between the mean of the readings and the edge between the codes, |p - 1/2| q
-away. An even distribution over this distance to both sides has the variance (p - 1/2)^2 q^2 / 3, which is the least that counts.
+p (1 - p) q^2 for any small s. x then lies between the mean of the readings and the edge between the codes, |p - 1/2| q away. An
+even distribution over this distance to both sides has the variance (p - 1/2)^2 q^2 / 3, and at least this variance is counted.
 """
 
 from collections.abc import Iterator, Sequence
@@ -213,7 +213,7 @@ def code_variance(step: FloatArray, scatter: FloatArray, windows: Sequence[Float
 
 def _toggling_share(window: FloatArray, step: FloatArray) -> FloatArray:
     """Return (p - 1/2)^2 / 3 of readings (N, 3) that toggle between two codes, and 0 for other readings, (3,)."""
-    codes = np.rint((window - window.min(axis=0)) / step)
+    codes = np.rint((window - window.min(axis=0)) / np.where(step > 0.0, step, np.inf))
     edge = np.floor(codes.mean(axis=0)) + 0.5
     toggling = (np.abs(codes - edge) < 1.0).mean(axis=0) >= TWO_CODES
     return np.where(toggling, (codes.mean(axis=0) - edge) ** 2 / 3.0, 0.0)

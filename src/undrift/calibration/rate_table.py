@@ -34,7 +34,7 @@ from undrift.calibration.quality import steady
 from undrift.calibration.session import Observed, spans_of, with_offset
 from undrift.calibration.settings import Mode
 from undrift.calibration.sources import Creep, creep_of, gyro_drift, noise_and_codes, offset_drift, uncertain, walks_of
-from undrift.calibration.table import DwellMeans, dwell_means, imposed_rates, mountings, table_axes
+from undrift.calibration.table import NOTE_CUTOFF_HZ, DwellMeans, dwell_means, imposed_rates, mountings, table_axes
 from undrift.errors import Implausible, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.gls import GlsFit, Prior, block_size, fit_huber, noise_of_means, solve_inverse
@@ -238,7 +238,6 @@ def axes_missing(turn_axes: Sequence[str], unit: str, cross_axis_prior: float) -
 # |e|, the median over the rows minus one for every parameter that the fit makes exact, and beyond 2 % of the largest rate. The
 # curvature of a sound sensor, its g-sensitivity, and the ripple of a table are smaller.
 
-NOTE_CUTOFF_HZ = 5.0  # Hz, of the note's spline filter in mode paper; the note states no value. Assumed.
 SCATTERS = 8.0  # times the typical error, beyond the tails of noise, wobble or drift in a few tens of dwells
 SHARE = 0.02  # relative to the largest rate
 LEAST_SPARE = 4  # equations beyond the parameters of a sensor, so that a false dwell is recognisable
@@ -280,9 +279,7 @@ def calibrate_rates(observed: Observed, mode: Mode, accel: TriadFit | None) -> T
     turns = [turn for turn in session.turns if turn.axis is not None and turn.turn_rate is not None]
     if not turns:
         raise NotObservable(NO_TURNS)
-    cutoff_hz = settings.spline_cutoff_hz
-    if mode == "paper" and cutoff_hz is None:
-        cutoff_hz = NOTE_CUTOFF_HZ
+    cutoff_hz = NOTE_CUTOFF_HZ if mode == "paper" and settings.spline_cutoff_hz is None else settings.spline_cutoff_hz
     dwells = dwell_means(session.records, turns, settle_s=settings.settle_s, cutoff_hz=cutoff_hz)
     turn_axes = tuple(axis for axis in AXES if axis in dwells.axis)
     model = None if accel is None else accel.model

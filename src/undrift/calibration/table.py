@@ -25,6 +25,7 @@ from undrift.record import Axis, Face, RateTable, Record, Still, Turn
 from undrift.units import EARTH_RATE, RADIAN_PER_DEGREE
 
 LEAST_SAMPLES = 8
+NOTE_CUTOFF_HZ = 5.0  # Hz, of the note's spline filter in mode paper; the note states no value. Assumed.
 FILTER_S = 0.3  # settling time of a second-order filter at 11 Hz to 1e-6, which gravity means omit at a dwell's start
 MOST_BLOCKS = 12  # means of the specific force in one dwell
 MIN_TILT_SD = 1e-6  # rad, of block means of the direction of gravity: sound arithmetic
