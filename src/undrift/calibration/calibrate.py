@@ -54,7 +54,10 @@ GRAVITY_SPREAD = (
     0.02  # m/s2: largest difference between standard gravity and local gravity, which ranges from 9.78 to 9.83
 )
 GIVE_GRAVITY = "Give `gravity_m_s2`, or `latitude_deg` and `height_m`."
-FROM_MOTION = "The device turns about several axes, so calibrate from its motion instead: --from motion."
+FROM_MOTION = (
+    "The device turns about several axes, so its motion alone can calibrate it (command line: --from motion, Python: "
+    "calibrate_from_motion, bench: Other ways)."
+)
 RECORD_TURNS = "Record turns by known rates or angles."
 
 
