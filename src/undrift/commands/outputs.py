@@ -1,4 +1,4 @@
-"""Outputs of commands. They are checked before the work begins: a wrong name costs nothing and loses nothing."""
+"""Outputs of commands. They are checked before the work begins, so a wrong name costs no time and overwrites nothing."""
 
 import json
 import shlex

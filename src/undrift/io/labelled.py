@@ -225,7 +225,7 @@ def _check_readings(sheet: Sheet, triples: Triples) -> None:
 
 
 def _chosen(sheet: Sheet, triples: Triples, sensor: str | None) -> dict[str, tuple[int, ...]]:
-    """Return the columns of the sensor of a name, of the only one whose name contains it, or of the only sensor."""
+    """Return the columns of the named sensor. Part of a name is enough if it is unique, and no name if there is one sensor."""
     sensors = [sensor for channel in ("accel", "gyro") for sensor in triples.get(channel, {}) if sensor]
     names, wanted = tuple(dict.fromkeys(sensors)), None
     if sensor is not None:

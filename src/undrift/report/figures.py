@@ -163,7 +163,7 @@ def axis_style(k: int, *, marked: bool = False) -> dict[str, Any]:
 
 
 def level_style(k: int) -> dict[str, Any]:
-    """Return colour and a few markers of the line of a level of compensation."""
+    """Return the line style of a level of compensation: its colour and a few markers."""
     marker = {"marker": LEVEL_MARKERS[k], "markevery": (0.03 * k, 0.15), "markersize": 4.0}
     return {"color": LEVEL_COLOURS[k]} | marker
 

@@ -75,7 +75,7 @@ class Table:
 
     @classmethod
     def of(cls, title: str, rows: Sequence[Mapping[str, Cell]], *, note: str = "", **more: Any) -> "Table":
-        """Return a table of rows by the heads of their cells. Without rows, it is empty and is not shown."""
+        """Return a table of rows, each a mapping from column head to cell. A table without rows is not shown."""
         if not rows:
             return cls(title=title)
         return cls(title=title, columns=[*rows[0]], rows=[tuple(row.values()) for row in rows], note=note, **more)
