@@ -30,6 +30,18 @@ def test_one_recording_is_corrected_into_a_file_of_any_ending(undrift, bench, tm
     assert sorted(path.name for path in tmp_path.iterdir()) == [name, *beside]
 
 
+@pytest.mark.parametrize(
+    ("change_c", "words"), [(0.0, "none outside"), (12.0, "from the temperature"), (None, "not compared")]
+)
+def test_answer_says_how_far_the_temperature_is_from_the_calibration(undrift, bench, tmp_path, change_c, words):
+    record = read_record(bench / "trial.parquet")
+    temp_c = None if change_c is None else record.temp_c + change_c
+    write_record(replace(record, temp_c=temp_c), tmp_path / "r.parquet")
+    calibration = bench / "calibration.json"
+    made = undrift("correct", tmp_path / "r.parquet", "--calibration", calibration, "-o", tmp_path / "c.parquet")
+    assert words in made.out.splitlines()[0] + made.out.splitlines()[1]
+
+
 def test_a_corrected_csv_is_plain_for_pandas_and_states_where_it_came_from_beside_it(undrift, bench, tmp_path):
     words = ("correct", bench / "trial.parquet", "--calibration", bench / "calibration.json", "-o", tmp_path / "c.csv")
     undrift.good(*words)

@@ -17,11 +17,12 @@ from undrift.commands.files import NamedRest, Opening, Reader, named_columns
 from undrift.commands.outputs import check_output
 from undrift.correction.consistency import check_corrected
 from undrift.correction.correct import Corrector
-from undrift.correction.plan import Reach
+from undrift.correction.coverage import REFERENCE_SPAN_C
+from undrift.correction.plan import NOWHERE, Reach
 from undrift.correction.rest import FOUND_IN_S, RemainingOffset, find_offset
 from undrift.errors import InputError
 from undrift.files import sha256_of
-from undrift.findings import Finding, finding
+from undrift.findings import Finding, finding, told_apart
 from undrift.io.column_map import naming
 from undrift.io.formats import detect, iter_record
 from undrift.io.parquet import ParquetWriter, parquet_rows
@@ -112,10 +113,17 @@ def correct(
 
 def _answer(reach: Reach) -> str:
     far, outside = reach.samples_extrapolated, reach.samples_outside + reach.samples_without_temperature
-    covered = "none outside the temperatures of the calibration"
     if far or outside:
         shares = [f"{100.0 * count / reach.samples:.3g} %" for count in (far, outside)]
         covered = f"{shares[0]} of them where the tuning tables are extrapolated, {shares[1]} outside"
+    elif reach.temp_c == NOWHERE:
+        covered = "not compared with the temperature of the calibration: the recording or the calibration has none"
+    elif reach.departure_c > REFERENCE_SPAN_C:
+        covered = (
+            f"up to {told_apart(reach.departure_c, '.1f', REFERENCE_SPAN_C)} K from the temperature of the calibration"
+        )
+    else:
+        covered = "none outside the temperatures of the calibration"
     return f"{reach.samples} samples are in rad/s and m/s2, {covered}."
 
 
