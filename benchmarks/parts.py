@@ -110,28 +110,28 @@ def rows_of(kind: str, devices: int) -> Iterator[str]:
 
 HEAD = """# What to expect of a part
 
-The table shows what the pitch of the gyroscopes alone is worth after one minute and after 15 minutes.
-{devices} simulated people stand up and sit down all the time, each with another device of the part, 10 to 15 K above the room.
-Each cell is the median error in deg; 95 % of the devices stay below the value in brackets.
+The table shows the pitch error of the gyroscopes without a filter, after one minute and after 15 minutes.
+{devices} simulated people stand up and sit down all the time. Each wears a different device, 10 to 15 K above the room.
+Each cell contains the median error in deg; 95 % of the devices stay below the value in brackets.
 
 - **raw**: the gains of the data sheet, and nothing else.
-- **rest offset**: the offset of a rest of ten seconds is subtracted.
+- **rest offset**: the offset from a rest of ten seconds is subtracted.
 - **by hand**: also calibrated once with six faces and three turns by hand, at room temperature.
-- **by hand, warm**: the same at the temperature at which the device is worn.
+- **by hand, warm**: the same calibration, made at the temperature at which the device is worn.
 
 | part | {columns} |
 | --- |{rules}
 """
 TAIL = """
 A dash means that some devices could not be calibrated.
-Each figure of a part has its source in the [device model](device-model.md).
+The [device model](device-model.md) gives the source of each number.
 For an orientation that does not drift, use `undrift orient --method vqf`, which needs accelerometers during the motion.
 """
 MEASURED_HEAD = """
 ## Measured parts
 
-The table shows the mean angle between the orientation by the gyroscopes and a truth, in deg, at the end of real recordings.
-"By motion" and "by optics" are calibrations by other recordings of the same device.
+The table shows the angle between the orientation from the gyroscopes and the true one: mean at the end of real recordings, deg.
+"By motion" and "by optics" are calibrations from other recordings of the same device.
 To add a part, copy the form below, replace every value, and open an issue with it.
 
 | part | devices | recordings | length | motion | raw | rest offset | by hand | by motion | by optics | source |

@@ -62,8 +62,8 @@ def line(row: dict[str, Any]) -> list[str]:
 
 LEAST_SQUARES_TEXT = (
     "Priors and settings of undrift were chosen with simulations and with the trials of BROAD.",
-    "This table compares undrift with ordinary least squares on the same readings, which has none of them and states no interval.",
-    "Calibration by motion alone has no such rival, because least squares without a prior has no unique answer there.",
+    "This table compares undrift with ordinary least squares on the same readings, which has none of them and gives no interval.",
+    "Calibration from motion only has no such rival, because least squares without a prior has no unique answer there.",
     "The truth of both Ferraris rows is such a fit.",
 )
 HEAD = ["set", "task", "limit", "undrift", "best plain rival", "95 % intervals that hold"]
