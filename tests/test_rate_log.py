@@ -100,7 +100,7 @@ def test_log_of_another_run_is_refused(tmp_path):
     [
         ("time_s,speed\n0,1\n", "one column"),
         ("time_s,angle_deg,turn_rate_dps\n0,1,2\n", "one column"),
-        ("time_s,angle_deg\n" + "0,1\n" * 40, "time goes forward"),
+        ("time_s,angle_deg\n" + "0,1\n" * 40, "time that repeats"),
         ("time_s,angle_deg\n0,1\n1,2\n", "30 rows"),
     ],
 )

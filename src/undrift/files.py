@@ -140,7 +140,7 @@ def bytes_in(path: Path) -> int:
 
 
 def first_line(error: BaseException) -> str:
-    """Return the first line of an error's text, or its name where it has none."""
+    """Return the first line of an error's text, or its name if the text is empty."""
     return str(error).splitlines()[0] if str(error) else type(error).__name__
 
 

@@ -116,7 +116,7 @@ def two_digits(value: float) -> str:
 
 
 def told_apart(value: float, form: str, limit: float) -> str:
-    """Return a value by a form like ".2g", with more digits where its size would else be on another side of a limit's."""
+    """Return a value by a form like ".2g", with more digits if rounding would put it on the other side of a limit."""
     start, _, kind = form.partition(".")
     for digits in range(int(kind[:-1]), 17):
         text = format(value, f"{start}.{digits}{kind[-1]}")

@@ -72,9 +72,8 @@ def read_rate_log(path: str | Path) -> RateLog:
     valid = np.isfinite(time) & np.isfinite(value)
     time, value = time[valid], value[valid]
     if len(time) < MIN_ROWS or not (np.diff(time) > 0.0).all():
-        raise FileFormatError(
-            f"{path}: a log has {MIN_ROWS} rows or more whose time goes forward, got {len(time)} rows. Repair the log."
-        )
+        got = f"{len(time)} rows" if len(time) < MIN_ROWS else "time that repeats or goes back"
+        raise FileFormatError(f"{path}: expected {MIN_ROWS} rows or more with increasing time, got {got}. Repair the log.")
     steps = np.diff(np.unique(value))
     steps = steps[steps > ROUNDING * np.abs(value).max()]
     if kind in RATES:

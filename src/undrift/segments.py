@@ -43,7 +43,7 @@ _ALL_NOISE = 1.5  # a floor within this factor of the white noise contains no mo
 _NOISE = 2.5  # white noise in a window spreads by up to this factor over that in the quietest
 _MOST_NOISE = 12.0  # limits (readings with more noise determine nothing)
 _TURNING = 20.0  # a mean reading this many floors away from the quietest windows' is a turn, not an offset
-BENCH_SHARE = 0.8  # of the still time in a hand's limits, from which a bench's limits leave out no pose
+BENCH_SHARE = 0.8  # share of the still time within a hand's limits from which a bench's limits leave out no pose
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -427,7 +427,7 @@ _LEAST_FLOORS = 10.0  # a plateau or rotation must exceed this many noise floors
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TurnSearch:
-    """Steady turns and rotations detected in a record, as read by the gyroscope. Only the rig knows their true rates."""
+    """Steady turns and rotations detected in a record, as read by the gyroscope. Their true rates must come from the rig."""
 
     # stretches of constant rate (``axis`` is the sensor axis with the largest reading, ``turn_rate`` is not set)
     plateaus: tuple[Turn, ...]

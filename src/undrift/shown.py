@@ -1,6 +1,6 @@
 """Values that show themselves: as text, as a page in a notebook, as a report, and as a figure.
 
-``report/values.py`` knows how. It imports all stages, so it is imported when a value is shown: here, and nowhere else.
+``report/values.py`` contains the code. It imports all stages, so it is imported when a value is shown: here, and nowhere else.
 """
 
 from typing import TYPE_CHECKING

@@ -236,7 +236,7 @@ class Lag:
     """Lag between the clock of a record and the clock of a reference."""
 
     seconds: float  # A reading stamped t was true at t - seconds on the reference's clock, s
-    standard_uncertainty: float  # of ``seconds``, s, from half-second blocks of residuals
+    standard_uncertainty: float  # standard uncertainty of ``seconds``, s, from half-second blocks of residuals
     correlation: float  # multiple correlation of reference rate and readings at this lag
     matrix: FloatArray  # (A, 3), reference rate per reading: scale and mounting, rad/s per unit of the readings
     constant: FloatArray  # (A,), reference rate at zero reading, rad/s
@@ -391,9 +391,9 @@ class Clocks:
     """A recording in step with its reference."""
 
     time: FloatArray  # (N,), times of the recording on a clock that runs at the rate of the reference's clock
-    lag: Lag  # of the recording behind the reference
+    lag: Lag  # delay of the recording relative to the reference
     reference: Reference  # without poses that only fill the file up
-    poses: Reference  # the same at the frames that the cameras took
+    poses: Reference  # poses at the frames of the cameras only
     findings: tuple[Finding, ...]  # samples that were lost
 
 
@@ -488,4 +488,4 @@ def _motion_between_stills(record: Record) -> tuple[float, float] | None:
         return start, stop
     if record.time[first.start] - record.time[0] > LEAST_MOTION_S:
         return None  # the device rests only at the end
-    raise AlignmentError("motion: the device lies still throughout, so no motion follows the first rest.")
+    raise AlignmentError("motion: the device is at rest throughout, so no motion follows the first rest.")

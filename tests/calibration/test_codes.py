@@ -45,7 +45,7 @@ def test_continuous_readings_have_no_step():
     adc = identify_adc(sweeping(np.random.default_rng(2)))
     assert adc.lsb is None
     assert adc.rounding is None
-    assert "on no grid" in adc.reason
+    assert "not on a grid" in adc.reason
 
 
 def test_a_resting_device_does_not_tell_its_rounding():

@@ -138,7 +138,7 @@ def test_time_outside_is_that_of_the_clock():
     done = correct_checked(r, device(drift=tables()), policy="hold")
     assert done.outside.all()
     assert done.reach.seconds_outside == pytest.approx(step.sum(), abs=1e-8)
-    with pytest.raises(DriftRangeError, match=f"{step.sum():.1f} s of them outside"):
+    with pytest.raises(DriftRangeError, match=f"{step.sum():.1f} s outside"):
         correct(r, device(drift=tables()))
 
 

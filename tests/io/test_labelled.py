@@ -206,4 +206,4 @@ def test_a_header_with_fewer_names_than_columns_is_refused(tmp_path):
 def test_a_channel_of_which_an_axis_is_not_named_is_left_out_with_a_note(tmp_path):
     rows = "".join(f"{k / 100},1,2,3,0,0,1\n" for k in range(4))
     path = put(tmp_path, "t (s),gyro x (dps),gyro ? (dps),gyro z (dps),acc x (g),acc y (g),acc z (g)\n" + rows)
-    assert "turn rate left out: it has axes x, z alone" in read_counted(path).notes
+    assert "turn rate left out: it has only axes x, z" in read_counted(path).notes

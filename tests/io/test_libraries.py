@@ -149,7 +149,7 @@ def test_the_folder_of_a_ros_2_bag_reads_with_the_temperature_beside_its_imu(tmp
     assert read.record.temp_c[[0, 5, 10, 19]] == pytest.approx([20, 25, 30, 30])
     assert read.record.gyro[3] == pytest.approx((0.3, 0, 0))
     assert read.record.time[[0, 19]] == pytest.approx([0, 1.9], abs=1e-9)
-    assert read.notes[1:] == ("time 0 is 1700000000.000000 s of the stamps", "temperature of /imu/temp, interpolated")
+    assert read.notes[1:] == ("time 0 is the time stamp 1700000000.000000 s", "temperature of /imu/temp, interpolated")
 
 
 def test_a_covariance_of_minus_one_means_that_the_channel_is_absent(tmp_path):

@@ -83,7 +83,7 @@ def test_a_map_in_toml_reads_a_table_of_foreign_names_and_repairs_its_time(tmp_p
     np.testing.assert_allclose(back.time, [0.0, 0.01, 0.02])
     np.testing.assert_allclose(back.q_nb, q[[0, 1, 3]])
     (tmp_path / "map.toml").write_text(text.replace("time = 0", "time = 3") + "repair_time = true\n")
-    with pytest.raises(InputError, match="time that mostly goes forward, got 3 of 4 rows"):
+    with pytest.raises(InputError, match="time that mostly increases, got 3 of 4 rows"):
         read_reference(tmp_path / "optics.csv", read_reference_map(tmp_path / "map.toml"))
     (tmp_path / "map.toml").write_text(text.replace("time = 0", "tme = 0"))
     with pytest.raises(InputError, match="nearest known key: time"):

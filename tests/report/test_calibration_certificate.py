@@ -138,7 +138,7 @@ def test_the_page_states_results_sources_and_references(calibration: Calibration
     assert [*gyro][-2:] == ["Combined standard uncertainty", "Expanded uncertainty"]
     for part in (
         "rates in common 0.0001 (relative)",
-        "claims no accreditation",
+        "does not claim accreditation",
         "Change with temperature is not included",
         "taken as exact",
     ):

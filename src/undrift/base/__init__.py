@@ -5,11 +5,11 @@
 ``options``
     The fields of a dataclass are the options of a command.
 ``spoken``
-    Names of arguments in messages, which the command line shows as options.
+    Names of arguments in messages. The command line shows them as options.
 ``clock``
     The time of rigs and simulated benches: real, accelerated or virtual.
 
-A file has the keys of its class, in the units of the file. Numbers read back to the last bit. NaN is stored as null and
+A file has the keys of its class, in the units of the file. Numbers are read back without loss. NaN is stored as null and
 infinity as "inf", because JSON has neither. Unknown keys, missing keys and values of another type are errors. The message
 names the key, the expected and the actual value, and the remedy.
 

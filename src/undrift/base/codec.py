@@ -17,7 +17,7 @@
     read_json(Loop, "loop.json")   the same value, to the last bit
     read_toml(Turn, "turn.toml")
 
-Tables are strict and closed: a number is no text, and an unknown key is an error. A key is required if its field has no
+Tables are strict and closed: a number is not text, and an unknown key is an error. A key is required if its field has no
 default, or in a dataclass that is stored ``whole``. A dataclass is built by pydantic when a file is read, with its
 ``__post_init__``. It is not checked when the program makes one.
 """

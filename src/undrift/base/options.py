@@ -9,11 +9,11 @@ from typing import Annotated, Literal, TypeAlias
 
 from cyclopts import Parameter
 
-options = Parameter(name="*")  # of a dataclass: each field is an option
+options = Parameter(name="*")  # marks a dataclass: each field is an option
 WRITTEN = "written"  # marks a parameter that names a file to write
 
 Flag: TypeAlias = Annotated[bool, Parameter(show_default=False)]
-Files: TypeAlias = Annotated[Path, Parameter(required=True)]  # of *files: one or more
+Files: TypeAlias = Annotated[Path, Parameter(required=True)]  # type of *files: one file or more
 Output: TypeAlias = Annotated[Path, WRITTEN, Parameter(name=["--output", "-o"])]
 OptionalOutput: TypeAlias = Annotated[Path | None, WRITTEN, Parameter(name=["--output", "-o"])]
 WrittenPath: TypeAlias = Annotated[Path | None, WRITTEN]

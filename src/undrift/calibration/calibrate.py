@@ -55,7 +55,7 @@ GRAVITY_SPREAD = (
 )
 GIVE_GRAVITY = "Give `gravity_m_s2`, or `latitude_deg` and `height_m`."
 FROM_MOTION = (
-    "The device turns about several axes, so its motion alone can calibrate it (command line: --from motion, Python: "
+    "The device turns about several axes, so its motion is enough to calibrate it (command line: --from motion, Python: "
     "calibrate_from_motion, bench: Other ways)."
 )
 RECORD_TURNS = "Record turns by known rates or angles."
@@ -256,7 +256,7 @@ def _doubts(observed: Observed, accel: TriadFit | None, gyro: TriadFit | None) -
 
 
 def find_pieces(session: Session, settings: CalibrateSettings) -> tuple[Session, tuple[Turn, ...]]:
-    """Return a session with the rests and turns detected in it, and its steady turns, whose rate only the rig knows.
+    """Return a session with the rests and turns detected in it, and its steady turns, whose rate must come from the rig.
 
     Rests get a face label if the accelerometers would be calibrated on faces.
     """

@@ -47,7 +47,7 @@ SIGMAS = 4.0  # standard errors by which the other ratio must be excluded
 class CodeGrid:
     """Step and rounding of the codes of a triad."""
 
-    lsb: FloatArray | None  # (3,), step of each axis, unit of the readings, or None if the readings lie on no grid
+    lsb: FloatArray | None  # (3,), step of each axis, unit of the readings, or None if the readings are not on a grid
     rounding: Rounding | None  # toward_zero, nearest (also used for floor), or None if not identifiable
     reason: str = ""  # why the step or the rounding is not known
 
@@ -56,7 +56,7 @@ def identify_adc(values: FloatArray) -> CodeGrid:
     """Find the step and the rounding of a triad (N, 3)."""
     steps, phases = np.array([code_grid(column) for column in values.T]).T
     if np.isnan(steps).any():
-        return CodeGrid(lsb=None, rounding=None, reason="readings lie on no grid")
+        return CodeGrid(lsb=None, rounding=None, reason="readings are not on a grid")
     if (np.abs(phases) >= MAX_PHASE).any():
         return CodeGrid(lsb=steps, rounding=None, reason=SUBTRACTED)
     counts = np.array([_swept_codes(column, step) for column, step in zip(values.T, steps, strict=True)])
@@ -175,7 +175,7 @@ def restored(record: Record, adc: AdcModel | None, codes: FloatArray | None = No
     return replace(record, gyro=gyro, accel=accel)
 
 
-# ---- what rounding to codes leaves in a mean reading
+# ---- error of a mean reading due to rounding to codes
 
 _NOISES = np.linspace(0.0, 1.0, 201)  # s / q
 _HARMONICS = np.arange(1, 200)[:, None]
@@ -220,7 +220,7 @@ def _toggling_share(window: FloatArray, step: FloatArray) -> FloatArray:
 
 
 def rounding_correlation(distance: FloatArray, spread: FloatArray, share: FloatArray) -> FloatArray:
-    """Return the correlation of the rounding errors of two means whose inputs are a normal distance d apart.
+    """Return the correlation of the rounding errors of two means whose inputs differ by a normally distributed distance d.
 
     d has a mean and a spread in steps, and ``share`` is the variance Q/q^2 of each error. Errors repeat with every step. For
     readings without noise at a known distance this is 1 - 6 d (1 - d), with d between 0 and 1.

@@ -52,14 +52,14 @@ NOT_GRAVITY = 1.0  # m/s2, largest acceleration in means over 5 s (walking 0.03,
 FIELD_SIZE = 0.01  # relative, by which the size of a corrected magnetic field may differ between means. Assumed.
 
 
-# ---- what is known about the matrices of a raw device
+# ---- prior knowledge about the matrices of a raw device
 #
 # t = T (M - I, A - I, p)      t_d ~ N(0, size^2 of each kind)      M, A and accelerometer offset p of a device d
 #
 # Each kind has three elements. Sizes are twice those published for 16 units of one part: scale factors 0.12 to 0.20 and 0.07 to
 # 0.14 %, symmetric cross-axis terms of 0.05 to 2.4 mrad, and 0.3 to 1.2 mrad between the triads. They count as known from a number
 # of elements: cross-axis terms from thirty, scale factors and offsets from six, since data sheets allow more. Assumed.
-# The estimate expects these sizes. Its uncertainty expects what data sheets allow.
+# The estimate expects these sizes. Its uncertainty allows for the limits in data sheets.
 
 FORCE_OFFSET = 0.3  # m/s2
 KINDS = {  # size, number of elements that it is known from, size that data sheets allow

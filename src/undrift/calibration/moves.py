@@ -256,7 +256,7 @@ class _Problem:
         # (J, 3, 3), covariance of the integral of each move by jitter of its time stamps, (raw unit s)^2
         self.slip = np.array([slip_covariance(moves.time[window], moves.gyro[window]) for window in windows])
         steady = Creep(warmth=np.zeros(len(reading)), offset_per_k=0.0, scale_per_k=0.0)
-        self.creep = creep or (steady, steady)  # of accelerometers and gyroscopes in the stills
+        self.creep = creep or (steady, steady)  # creep of accelerometers and gyroscopes in the stills
         warmth = self.creep[1].warmth
         of_moves = 0.5 * (warmth[moves.before] + warmth[moves.before + 1])
         self.warmth = np.append(warmth[rests], of_moves)  # (R + J,), temperature minus the reference, K

@@ -248,7 +248,7 @@ def check_count(reading: FloatArray, wanted: int) -> None:
 
 
 def judged(fit: NormFit, reading: FloatArray, unit_in: str) -> TriadFit:
-    """Return a solution as a fit with findings. Raise if the readings cannot be in the declared unit."""
+    """Return the fit of a triad from a solution, with findings. Raise if the readings cannot be in the declared unit."""
     unit = canonical_unit(unit_in, "accel")
     if is_physical(unit):
         check_gravity(reading * si_factor(unit, "accel"), fit.gravity)

@@ -14,7 +14,7 @@ from undrift.record import Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
 NOT_USED, SATURATED = "not used", "gyroscope saturated"
-MIN_MOVE_SHARE = 0.02  # of the largest move: a smaller one is not drawn
+MIN_MOVE_SHARE = 0.02  # smallest move that is drawn, relative to the largest move
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -305,9 +305,9 @@ def full_rank(design: FloatArray, what: str = "reference") -> float:
 
 # ---- fit
 
-# share of the rates about the second and third axis of the motion in those about the first, rms: below it they are not determined
+# least rms rate about the second and third axis of the motion, relative to the first axis, that determines these axes
 SECOND_AXIS, THIRD_AXIS = 0.03, 0.1
-# weight of all recordings in the first body of each: a recording about a single axis does not determine its own
+# weight of all recordings in the first body of each: a recording about a single axis does not determine its own body
 SHARED_BODY = 0.01
 # elements of M about the rotation from readings to body, relative (data sheets of consumer parts: scale factor 1 to 3 %, cross-axis
 # sensitivity 1 to 2 %), and rotation of a mounting about its first estimate, rad. Assumed.
@@ -319,7 +319,7 @@ MOVING_PRIOR, CODE_PRIOR = 0.05 * RADIAN_PER_DEGREE, 1.0 / 3.0
 MATRIX_DIFFERENCE = 0.05  # relative difference between the matrices of single recordings of the same device
 START_RIDGE = 1e-3  # weight of the nominal matrix at the start, as a share of the largest power of the rates
 USUAL_RESIDUAL = 5e-3  # rad, of a window, before the first solution
-WINDOWS_S = (2.0, 4.0, 8.0, 16.0, 16.0, 16.0)  # of the fits: over 2 s errors of raw readings stay below 0.5 rad
+WINDOWS_S = (2.0, 4.0, 8.0, 16.0, 16.0, 16.0)  # windows of the fits: in 2 s, raw readings err by less than 0.5 rad
 WANTED_PERCENT = (0.2, np.inf)  # limits of the uncertainty of M
 WANTED_REST_DPS = 0.03  # largest spread of the rest offsets
 RECORD_LONGER = "Record longer: turn about every axis, and rest on all six sides of the device."

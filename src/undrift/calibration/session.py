@@ -123,7 +123,7 @@ def spans_of(records: Sequence[Record], pieces: Sequence[Still | Turn]) -> Float
     return np.array(ends).reshape(-1, 2)
 
 
-# ---- what a session contains
+# ---- contents of a session
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -36,8 +36,8 @@ class CalibrateSettings:
     angle_uncertainty_deg : float
         Standard uncertainty of a turn by a known angle, deg.
     axis_uncertainty_deg : float
-        Standard uncertainty of the axis of such turns against the case, about each axis across it, deg. The error is common to
-        all turns about the same axis, as for a fixture or a straight edge.
+        Standard uncertainty of the direction of the turn axis in the case, about each perpendicular axis, deg. The error is
+        common to all turns about the same axis, as for a fixture or a straight edge.
     polynomial_degree : int
         Degree of the polynomial in time that filters each face before it is averaged. It determines the noise of the mean.
     spline_cutoff_hz : float or None

@@ -85,7 +85,7 @@ def fit_six_face(poses: FaceMeans, *, gravity: float, mode: Mode = "affine") -> 
             finding(
                 "six_face.tilt",
                 "warn",
-                f"The faces are tilted by {tilt_deg:.2f} deg (1 sigma), which six faces do not separate from misaligned sensors.",
+                f"The faces are tilted by {tilt_deg:.2f} deg (1 sigma). Six faces cannot distinguish this from misaligned sensors.",
                 "Align the fixture, or rest in nine or more free poses.",
                 tilt_deg=tilt_deg,
             )

@@ -222,16 +222,16 @@ def _thermometer_step(observed: Observed) -> float:
 
 # ---- sources of stated size that no residual shows: a larger size would be noticed by nothing
 
-LARGE_SHARE = 0.25  # of a variance: if such a source is three times its stated size, 74 % of the intervals hold
+LARGE_SHARE = 0.25  # share of a variance: if such a source is three times its stated size, 74 % of the intervals hold
 GROUPS = {"scale": [0, 4, 8], "cross-axis terms": [1, 2, 3, 5, 6, 7], "offset": [9, 10, 11]}  # places of parameters
 
 
 def name_stated_sources(
     kind: Kind, model: TriadModel, session: Session, settings: CalibrateSettings, *, visible: Sequence[str] = ()
 ) -> Iterator[Finding]:
-    """Yield a finding for each source of stated size that causes much of the uncertainty of a triad, although no residual shows it.
+    """Yield a finding for each source of stated size that causes much of the uncertainty of a triad without any residual.
 
-    ``visible`` are sources that the residuals of this fit show.
+    ``visible`` are sources that the residuals of this fit reveal.
     """
     if model.budget is None:
         return
@@ -246,7 +246,7 @@ def name_stated_sources(
         "axis": (
             "axis of the turns",
             f"{settings.axis_uncertainty_deg:g} deg",
-            "Record accelerometers beside the turns",
+            "Also record accelerometers during the turns",
         ),
         "temperature": ("dependence on temperature", per_k, "Record soaks at several temperatures"),
         "instability": ("flicker", f"{ACCEL_FLICKER / MILLI_G:g} mg", "Record an hour at rest"),
@@ -263,7 +263,7 @@ def name_stated_sources(
                 "session.stated",
                 "info",
                 f"The {what}, stated to {size}, causes much of the uncertainty of the {' and the '.join(groups)} of the "
-                f"{'gyroscopes' if gyro else 'accelerometers'}. No residual shows its size.",
+                f"{'gyroscopes' if gyro else 'accelerometers'}. No residual can reveal its size.",
                 f"{check} to check it.",
                 source=source,
                 parameters=tuple(groups),

@@ -17,7 +17,7 @@ from undrift import __version__
 from undrift.cli import examples
 from undrift.errors import InputError, RigError, UndriftError
 
-ABOUT = "Calibrate a wearable inertial sensor, compensate its drift, and prove what that is worth in degrees."
+ABOUT = "Calibrate a wearable inertial sensor, compensate its drift, and measure the improvement in degrees."
 COMMANDS = {  # one line of 80 columns each
     "record": "Record a device to a file, or be guided through its calibration.",
     "info": "Describe a recording, session, calibration, reference or device.",
@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         if not sys.stdout.closed:
             sys.stdout.flush()
-    except OSError:  # told already: Python would end with code 120 over what is still in its buffer
+    except OSError:  # reported already: with text still in its buffer, Python would end with code 120
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     sys.exit(code)
 

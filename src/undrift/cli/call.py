@@ -71,7 +71,7 @@ def call(arguments: Sequence[str]) -> int:
     @root.meta.default
     def run(
         *words: Annotated[str, Parameter(show=False, allow_leading_hyphen=True)],
-        report: Annotated[Path | None, Parameter(group=DISPLAY, help="Report page to write: .html.")] = None,
+        report: Annotated[Path | None, Parameter(group=DISPLAY, help="File for the report page (.html).")] = None,
         details: Annotated[
             bool, Parameter(group=DISPLAY, negative=(), show_default=False, help="Show every finding and table.")
         ] = False,

@@ -26,7 +26,7 @@ from undrift.report.figures import draw_recording
 from undrift.screen import progress, reading
 from undrift.units import RADIAN_PER_DEGREE
 
-NOTABLE_DRIFT = 1e-3  # of the clocks: a scale factor is wrong by as much if the clock of the table is the wrong one
+NOTABLE_DRIFT = 1e-3  # relative drift of the clocks: a wrong clock of the table gives the scale factor the same error
 PART = "kind"  # setting of a calibration's origin
 
 
@@ -172,7 +172,7 @@ def _motion_offsets(session: Session, motion: InMotion) -> Table:
             _names(session, len(offsets)), offsets, uncertainty, motion.acceleration, strict=True
         )
     ]
-    note = "u: standard uncertainty of the least certain axis. Acceleration: what the body's motion leaves in means of 5 s."
+    note = "u: standard uncertainty of the least certain axis. Acceleration: the rest of the body's motion in means of 5 s."
     return Table(title="Gyroscope offset of each recording", columns=columns, rows=rows, form=".3f", note=note)
 
 

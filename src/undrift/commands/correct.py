@@ -36,7 +36,7 @@ from undrift.report.figures import draw_record
 from undrift.screen import progress, reading
 
 READ = 0.8  # share of the time when a recording without a known length is read
-NOT_COVERED = ("outside", "extrapolated", "without_temperature")  # of the tuning tables
+NOT_COVERED = ("outside", "extrapolated", "without_temperature")  # kinds of samples that the tuning tables do not cover
 
 
 @each_recording(".parquet")
@@ -60,7 +60,7 @@ def correct(
     recording : Path
         One or more recordings of the calibrated device, or a folder of them.
     calibration : Path
-        calibration.json of the device, or a folder of calibrations: the newest one of the recording's serial number.
+        calibration.json of the device, or a folder of calibrations: the newest one with the recording's serial number.
     output : Path
         File for a single recording: .parquet, .csv or .csv.gz. Parquet needs constant memory. Folder for several
         recordings, created if it is missing.
@@ -115,7 +115,7 @@ def _answer(reach: Reach) -> str:
     far, outside = reach.samples_extrapolated, reach.samples_outside + reach.samples_without_temperature
     if far or outside:
         shares = [f"{100.0 * count / reach.samples:.3g} %" for count in (far, outside)]
-        covered = f"{shares[0]} of them where the tuning tables are extrapolated, {shares[1]} outside"
+        covered = f"{shares[0]} of them with extrapolated tuning tables, {shares[1]} outside"
     elif reach.temp_c == NOWHERE:
         covered = "not compared with the temperature of the calibration: the recording or the calibration has none"
     elif reach.departure_c > REFERENCE_SPAN_C:

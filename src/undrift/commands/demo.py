@@ -127,7 +127,7 @@ def _report(out: Path, bench: Table, fit: DriftFit, trials: tuple[Trial, ...], c
         form=".2g",
         note="The device is drawn at random from a seed. Only these checks use its true parameters.",
     )
-    findings = [*fit.verdict.findings, *trials[-1].findings]  # of the recommended level
+    findings = [*fit.verdict.findings, *trials[-1].findings]  # findings of the recommended level
     if failed := [check.name for check in checks if not check.passed]:
         sentence = f"{len(failed)} of {len(checks)} checks against the hidden truth fail: {', '.join(failed)}."
         findings.append(finding("demo.check", "fail", sentence, "Please report this.", failed=len(failed)))

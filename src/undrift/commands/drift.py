@@ -40,7 +40,7 @@ def drift(
         changes, or daily recordings with a rest in each. Several sessions are combined, and their differences count as
         uncertainty. Each recording is a session, with a switch-on of its own.
     calibration : Path or None
-        calibration.json of the device, or a folder of calibrations: the newest one of its serial number. Without it
+        calibration.json of the device, or a folder of calibrations: the newest one with its serial number. Without it
         physical units keep their nominal scale, and counts are refused.
     output : Path or None
         calibration.json to write, with the tables. It may be the input file.
@@ -93,7 +93,7 @@ def _next_command(recording: Path | None, session: Session, fit: DriftFit, outpu
     static = None if fit.calibration.drift is None else fit.calibration.drift.static
     command, temp_c = list[str](), session.records[0].temp_c
     if static is not None and static.warm_up is not None:
-        command += ["--power-on-s", "0"]  # as it was recorded
+        command += ["--power-on-s", "0"]  # the recording started at power-on
     if static is not None and temp_c is not None:
         outside = (temp_c < static.temp_c[0]) | (temp_c > static.temp_c[-1])
         command += ["--policy", "hold"] if outside.any() else []

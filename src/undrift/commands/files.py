@@ -53,7 +53,7 @@ class Opening:
     Parameters
     ----------
     column_map : Path or None
-        TOML file with columns, units and what else a foreign table needs: undrift info FILE --write-map writes it. With
+        TOML file with columns, units and other properties of a foreign table: undrift info FILE --write-map writes it. With
         undrift's own column names only sample_rate_hz, gaps, clock, repair_time or drop_bad_rows, without columns. Overrules the
         map that a calibration keeps.
     sample_rate_hz : float or None
@@ -170,7 +170,7 @@ class Reader:
             self.path, note = _newest(calibration, {_serial_of(path, opening) for path in recordings})
             self.notes.append(note)
         self.model = None if self.path is None else read_calibration(self.path)
-        self.findings = calibration_findings(self.model)  # what speaks against calibration and readings
+        self.findings = calibration_findings(self.model)  # problems of the calibration and the readings
 
     def read(self, path: Path) -> Record:
         """Read a recording. For a session folder, read its only recording."""

@@ -73,7 +73,7 @@ def info(
     write_map : Path or None
         Map to write for a table with foreign columns, each unit with its reason: .toml.
     gyro_unit : str or None
-        With --write-map: unit of the gyroscopes where nothing shows it: rad/s, dps, count or v.
+        With --write-map: unit of the gyroscopes if the file does not give it: rad/s, dps, count or v.
     accel_unit : str or None
         With --write-map: unit of the accelerometers: m/s2, g, mg, count or v.
     write_session : Path or None
@@ -108,7 +108,7 @@ class Looked:
     summary: str
     serial: str
     columns: tuple[str, ...]
-    missing: str  # what a reader asks for: sample_rate_hz, sensor, or ""
+    missing: str  # setting that a reader requires: sample_rate_hz, sensor, or ""
     draft: dict[str, Any]  # map that a table of foreign names seems to need
     reasons: dict[str, str]  # why a unit is proposed
     report: Report

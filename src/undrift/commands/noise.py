@@ -17,7 +17,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical
 
 AFTER_S = 60.0  # after a rest of the same length
 COVERAGE = 2.0
-DEG_PER_H, UG = 3600.0 / RADIAN_PER_DEGREE, 1e6 / STANDARD_GRAVITY  # of a rad/s, of a m/s2
+DEG_PER_H, UG = 3600.0 / RADIAN_PER_DEGREE, 1e6 / STANDARD_GRAVITY  # factors from rad/s and from m/s2
 DATA_SHEET = {  # unit of data sheets, and factor; 60 sqrt(s) are 1 sqrt(h)
     "rad/s/sqrt(Hz)": ("deg/sqrt(h)", 60.0 / RADIAN_PER_DEGREE),
     "rad/s": ("deg/h", DEG_PER_H),

@@ -44,8 +44,8 @@ def orient(
     output : Path
         File for time, quaternion and angles (.parquet, .csv or .csv.gz), or for quaternions (.sto, OpenSense).
     calibration : Path or None
-        calibration.json of the device, for a raw recording. In a folder of calibrations, the newest file of its serial
-        number is used.
+        calibration.json of the device, for a raw recording. In a folder of calibrations, the newest file with its
+        serial number is used.
     method : str
         strapdown, or vqf: a filter that takes the inclination from the accelerometers and tracks the offset, over
         the whole recording.
@@ -83,7 +83,7 @@ def orient(
     if worn := settings.mounting:
         degrees = worn.uncertainty / RADIAN_PER_DEGREE
         reader.notes.append(
-            f"The pitch is that of the {worn.place}. The calibration's mounting is uncertain by {degrees:.1f} deg "
+            f"The pitch refers to the {worn.place}. The calibration's mounting is uncertain by {degrees:.1f} deg "
             f"({worn.basis})."
         )
     return Report(

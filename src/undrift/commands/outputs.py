@@ -55,7 +55,7 @@ def _holds(read: Path, target: Path) -> bool:
     if (read / NAME).is_file():
         names = [NAME, *(name for names_of_record in names_in(read) for name in names_of_record)]
     else:
-        names = [file.name for file in read.iterdir()]  # of a device that records into a folder
+        names = [file.name for file in read.iterdir()]  # files of a device that records into a folder
     return any((read / name).exists() and target.samefile(read / name) for name in names)
 
 

@@ -34,12 +34,12 @@ from undrift.rig.lock import stopping_on_signals, uninterrupted
 from undrift.screen import screen
 
 LOOK_S = 0.2  # between two looks at the device, host s
-LOG_S = 5.0  # of the recording between two lines if there is no terminal
+LOG_S = 5.0  # recorded time between two progress lines if there is no terminal, s
 FIRST_S, LOST_S = 6.0, 10.0  # host s for the first reading (a board may restart), and for a lost device
-CLOCK_S = 10.0  # of a recording that shows the rate of a device without time better than listening did
+CLOCK_S = 10.0  # recorded time after which the rate of a device without time is better known than from listening, s
 PAUSE_S = 1.0  # host s without readings that are not mentioned
-RATE_S = 2.0  # of a recording after which its rate is shown
-NOW_S, MOST_S = 0.5, 100.0  # of readings for the displayed mean, and of readings in one step of a guide
+RATE_S = 2.0  # recorded time after which the rate is printed, s
+NOW_S, MOST_S = 0.5, 100.0  # readings in the displayed mean, and in one step of a guide, s
 FORMATS = (".parquet", ".csv", ".csv.gz")
 HOW = {
     "face": "Faces: lay it on each of its six faces, on a level table, and let go. Each is captured by itself, in any order.",

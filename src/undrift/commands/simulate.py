@@ -58,7 +58,7 @@ def simulate(
     markers : str or None
         Labels of one rigid cluster, separated by commas, for TRC or C3D.
     truth : Path or None
-        File for the true orientation, and for the position where the motion has one: .parquet or .csv. It is a motion
+        File for the true orientation, and for the position if the motion has one: .parquet or .csv. It is a motion
         for this command and a reference for validate.
     save_device : Path or None
         File for the device, device.json.
@@ -83,7 +83,7 @@ def simulate(
     gaps = 0 if record.gyro is None else int(np.isnan(record.gyro[:, 0]).sum())
     answer = f"{len(record)} samples at {record.sample_rate_hz:.6g} Hz over {record.duration_s:.1f} s."
     if gaps:
-        answer += f" {gaps} samples are gaps, where the poses are not known."
+        answer += f" {gaps} samples are gaps, because their poses are unknown."
     if record.accel is None:
         answer += " There are no accelerometers, because these poses have no positions."
     return Report(

@@ -55,7 +55,7 @@ def study(
         Error that is good enough for 95 % of devices, deg; the plan's if not given, otherwise 0.5, 1 and 2.
     categories : str or None
         Categories of people, separated by commas: level_1 to level_4 (level_2 is the note's), young, elderly, impaired, parkinson,
-        and those of the plan. Each performs every task.
+        and the categories in the plan. Each performs every task.
     subjects : int or None
         Number of devices, each on a person of its own; the plan's if not given, otherwise 30.
     workers : int or None

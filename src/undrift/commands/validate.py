@@ -47,22 +47,22 @@ def validate(
     records : Path
         One or more recordings, one folder with session.toml, or with --trials the folder of the table.
     calibration : Path or None
-        calibration.json of the device, or a folder of calibrations: the newest one of the recordings' serial number.
+        calibration.json of the device, or a folder of calibrations: the newest one with the recordings' serial number.
     calibrate_from : str or None
-        "reference" fits the gyroscopes to the references of these recordings, which must be of one device. A session.toml can state
-        its serial number, local gravity, and that it was mounted once.
+        "reference" fits the gyroscopes to the references of these recordings, which must be from one device. A session.toml can set
+        its serial number, the local gravity, and that it was mounted once.
     leave_one_out : bool
         With --calibrate-from: each recording is compared after a fit to the others.
     offset : str
-        "rest" subtracts the mean rate of the first still phase, "motion" also what gravity shows from there on, or without any
-        rest, as correct and orient do. "none" does not.
+        "rest" subtracts the mean rate of the first still phase. "motion" starts from that rest, if there is one, and estimates
+        the offset from gravity while the device moves. "none" subtracts nothing.
     forward : str or None
         Body axis that points forward on the upright segment: with --up it defines the pitch. Without both they are +x and +z, and
         the readings are turned by the calibration's mounting, if there is one.
     up : str or None
         Body axis that points up on the upright segment.
     max_lag_s : float
-        Largest lag between the clocks of recording and reference, either way, s.
+        Largest lag between the clocks of recording and reference, in either direction, s.
     trials : Path or None
         Table in the folder, a row per recording with person, task, device and reference: errors over people, by task and by device.
     output : Path or None

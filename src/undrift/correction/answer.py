@@ -67,12 +67,12 @@ def pitch_limits(calibration: Calibration, *, rested: bool = True, away_k: float
 
 
 def answer_sentence(calibration: Calibration) -> str:
-    """Return what a calibration is good for and what not, in one or two sentences."""
+    """Return one or two sentences on suitable and unsuitable uses of a calibration."""
     if calibration.verdict.status == "bad":
         return "Do not use this calibration, because a number of it may be wrong. The findings say why."
     limits = pitch_limits(calibration, away_k=WITHIN_K)
     if limits is None:
-        return "This calibration has no uncertainty, so it is not known what it is good for."
+        return "This calibration has no uncertainty, so its accuracy in use is unknown."
     once, minute = (f"{limit / RADIAN_PER_DEGREE:#.2g}".rstrip(".") + " deg" for limit in limits)
     if calibration.gyro is None:
         return f"Good for the tilt at rest: within {once}. Not for motion, because gyroscopes are not calibrated."

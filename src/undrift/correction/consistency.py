@@ -41,7 +41,7 @@ def check_corrected(
 def check_device(
     record: Record, calibration: Calibration, stills: tuple[Still, ...] | None = None
 ) -> tuple[Finding, ...]:
-    """Return a finding if |a| - g or the mean rate at rests of a corrected record exceed their uncertainty."""
+    """Return a finding if, at rests of a corrected record, |a| - g or the mean rate exceeds its uncertainty."""
     record = record.in_si().between(record.time[0], record.time[0] + REST_LOOKED_AT_S)
     if stills is None:
         try:

@@ -58,7 +58,7 @@ def find_outside(
     if mask is not None and not allowed:
         raise DriftRangeError(
             f"drift table: expected temperatures from {low:g} to {high:g} degC, got {least:.1f} to {greatest:.1f} degC, "
-            f"{seconds_of(mask, record.time, before):.1f} s of them outside{_other_unit(least, greatest, (low, high))}. "
+            f"with {seconds_of(mask, record.time, before):.1f} s outside{_other_unit(least, greatest, (low, high))}. "
             "Extend the table, or choose the policy hold or nan.",
             low=low,
             high=high,

@@ -132,7 +132,7 @@ class Constants:
 
     @cached_property
     def warm_up(self) -> tuple[Grid, FloatArray] | None:
-        """Cells of the warm-up over the time since power-on."""
+        """Interpolation cells of the warm-up over the time since power-on, or None without a warm-up table."""
         return None if self.warm_up_table is None else line_cells(self.warm_up_table)
 
 
@@ -256,7 +256,7 @@ def plan_record(record: Record, calibration: Calibration) -> Plans:
             "correct: the g-sensitivity of the gyroscopes needs accelerometer readings. Map the accelerometer columns."
         )
     if record.temp_c is None and has_tables((gyro, accel)):
-        raise InputError("correct: the tuning tables need temperatures. Map the column temp_c.")
+        raise InputError("correct: the tuning tables need temperatures. Map a column to temp_c.")
     return gyro, accel
 
 
@@ -316,13 +316,13 @@ def hull(*spans: Span) -> Span:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Carry:
-    """State passed from a chunk of a stream to the next chunk."""
+    """State passed from one chunk of a stream to the next."""
 
     power_on_time: float | None = None  # on the recording's clock, s, or None if unknown
     lag: tuple[float, ...] = NO_READING  # state of the filter that subtracts the thermometer's lag
     last_time: float | None = None  # time of the last sample, s, or None before the first
     turning: tuple[float, ...] = NOT_TURNING  # state of the search for turns
-    reach: Reach = Reach()  # of all chunks so far
+    reach: Reach = Reach()  # temperatures of all chunks so far
 
 
 class Conditions(NamedTuple):

@@ -199,7 +199,7 @@ def _first_rests(record: Record, what: str) -> tuple[Still, ...]:
     return tuple(replace(still, start=still.start + first, stop=still.stop + first) for still in search.stills)
 
 
-# ---- What is uncertain of the mean specific force at a rest, a covariance (3, 3), (m/s2)^2, by source
+# ---- covariance (3, 3) of the mean specific force at a rest, (m/s2)^2, by source
 #
 # ``scatter``      of the mean, with the correlation between samples
 # ``sway``         of a person in quiet stance: the tilt at the end of the rest differs from the mean by the spread of means over
@@ -243,7 +243,7 @@ def force_covariances(record: Record, still: Still, force: FloatArray) -> dict[s
 def calibrated_force_covariances(
     error: ForceUncertainty, mean: FloatArray, temp_c: float, years: float
 ) -> dict[str, FloatArray]:
-    """Return the covariance of a specific force (3,), m/s2, by what is uncertain of the calibration, ``years`` after it."""
+    """Return the covariance of a specific force (3,), m/s2, for each uncertainty of the calibration, ``years`` after it."""
     design = np.hstack((np.kron(np.eye(3), mean), np.eye(3)))  # (3, 12): E f + d
     offset, scale = error.per_k * [_beyond(temp_c, span) for span in (error.offset_temp_c, error.matrix_temp_c)]
     return {

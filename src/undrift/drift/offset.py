@@ -54,7 +54,7 @@ OVERLAP_C = 3.0  # common range of both directions
 # ---- warm-up
 CHUNK_S = 120.0  # cells are cut there and at its doubles
 LEAST_OWN = 0.05  # share of the variance of exp(-t / tau) that temperature must leave unexplained
-CURVE_POWER = 7  # of the polynomial over temperature that a warm-up must differ from
+CURVE_POWER = 7  # degree of the polynomial over temperature that a warm-up must differ from
 WARM_UP_NODES, WARM_UP_SPAN = 13, 5.0  # nodes of its table, and its length in time constants
 
 
@@ -332,8 +332,8 @@ def _fit_accel(
 ) -> TriadDrift:
     if calibration is None or calibration.accel is None or not np.isfinite(calibration.reference_temp_c):
         raise NotObservable(
-            "it needs a calibration of the accelerometers with its reference temperature. Calibrate six faces with a temperature "
-            "column."
+            "it requires an accelerometer calibration with a reference temperature. Calibrate from six faces in recordings with a "
+            "temperature column."
         )
     model, reference_c = calibration.accel, calibration.reference_temp_c
     triad = _fit_triad(accel_offsets(blocks, model), nodes, settings, (reference_c, model))

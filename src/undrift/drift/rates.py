@@ -41,7 +41,7 @@ MATRIX_GAP_C = 10.0
 MAINLY = 0.9  # least share of a turning rate that is about an axis of the case
 SAME_RATE = 0.01  # relative to the largest rate: closer rates are equal
 NEAR_RATE = 0.02  # relative to the largest rate: a node this far beyond the measured rates is not extrapolated
-HIGHEST_POWER = 5  # of the rate
+HIGHEST_POWER = 5  # highest power of the rate
 LEAST_DIGIT = 1e-9  # relative to the readings, the arithmetic error of a mean
 
 

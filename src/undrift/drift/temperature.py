@@ -146,7 +146,7 @@ def _column_temperature(
         sentence = (
             f"The temperature of recording {index} is {low:.1f} to {high:.1f} degC throughout, above room temperature."
         )
-        action = "Check for degF read as degC or a wrong scale (units.temp, scale.temp). A chamber or a warm chip is no error."
+        action = "Check for degF read as degC or a wrong scale (units.temp, scale.temp). For a chamber or a warm chip, ignore this."
         findings.append(finding("drift.temperature_implausible", "warn", sentence, action))
     differences = [(float(np.nanmedian(readings[p])) - c, c) for p, c in set_points if np.isfinite(readings[p]).any()]
     difference, set_point = max(differences, key=lambda pair: abs(pair[0]), default=(0.0, 0.0))

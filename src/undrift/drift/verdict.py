@@ -173,7 +173,7 @@ def _guess_unit(reading: FloatArray, constant: FloatArray) -> str:
     return ""
 
 
-# ---- what the tables are worth
+# ---- benefit of the tables
 
 
 def check_lag(lag: LagFit | None) -> Iterator[Finding]:
@@ -201,7 +201,7 @@ def check_temperatures(
         yield finding(
             "drift.set_points_only",
             "warn",
-            "No recording has a temperature column, so the tables are over set-points. A device thermometer reads otherwise.",
+            "No recording has a temperature column, so the tables use the set-points. A device thermometer reads differently.",
             "Map the temperature column, also in recordings to correct.",
         )
     triad = static.gyro

@@ -22,9 +22,9 @@ class ExportOptions:
     Parameters
     ----------
     prefix : str
-        c and a header of constants: prefix of all names, in lower case.
+        Targets c and constants (header): prefix of all names, in lower case.
     temp_c : float or None
-        constants: temperature at which tables are read, degC, the reference temperature by default.
+        Target constants: temperature at which tables are evaluated, degC. The default is the reference temperature.
     """
 
     prefix: str = "undrift"

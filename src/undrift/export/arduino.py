@@ -19,14 +19,14 @@ from undrift.export.c import export_c, utc_now
 from undrift.model import Calibration
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
-COUNTS_PER_DPS, COUNTS_PER_G = 131.0, 16384.0  # of an MPU-6050 at 250 deg/s and 2 g (its data sheet)
+COUNTS_PER_DPS, COUNTS_PER_G = 131.0, 16384.0  # sensitivity of an MPU-6050 at 250 deg/s and 2 g (its data sheet)
 UNITS = {
     "count": 1.0,
     "dps": 1.0 / COUNTS_PER_DPS,
     "rad/s": RADIAN_PER_DEGREE / COUNTS_PER_DPS,
     "g": 1.0 / COUNTS_PER_G,
     "m/s2": STANDARD_GRAVITY / COUNTS_PER_G,
-}  # of one count in the unit of a calibration
+}  # size of one count in the unit of a calibration
 
 
 def write_arduino(calibration: Calibration, options: ExportOptions, name: str) -> Exported:

@@ -397,7 +397,7 @@ def fit_huber(
 ) -> tuple[FloatArray, FloatArray, float]:
     """Return parameters (P,), weights (E,) and robust scale. Each group of ``together`` rows has a common weight, from its rms.
 
-    The last ``prior`` rows are no readings. They keep their weight and do not contribute to the scale.
+    The last ``prior`` rows are not readings. They keep their weight and do not contribute to the scale.
     """
     length = np.linalg.norm(design, axis=0)
     scaled, weight = design / length, np.ones(len(reading))

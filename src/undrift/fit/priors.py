@@ -56,7 +56,7 @@ REFERENCE_LEVEL = 2e-3
 # ---- limits of a verdict: marginal above the first, bad above the second
 
 # drift of the rest offsets over a session, rad/s: effect of 1 K on a consumer part, half of which is the error of the mean.
-# A steady drift of this size is a source of error of gyroscope fits. Fits estimate what a larger one adds as a walk.
+# A steady drift of this size is a source of error of gyroscope fits. Fits estimate the excess of a larger drift as a walk.
 REST_DRIFT = 0.05 * RADIAN_PER_DEGREE
 
 # drift of the gyroscopes' offset, deg/s: 0.1 in a minute causes an error of 3 deg after that minute, and no warm-up reaches 2.

@@ -25,9 +25,9 @@ from undrift.arrays import FloatArray, IntArray, runs
 from undrift.errors import InputError
 
 LEAST_SAMPLES = 100  # for a rate
-_SEEN = 0.7  # of a sample: a smaller step is not called a loss
-_SURE = 1.5  # the same in the first round, whose rate is rough
-_BURSTS = 25  # of the longest usual step: samples on either side of a loss that show the least delay
+_SEEN = 0.7  # part of a sample: a smaller step is not counted as a loss
+_SURE = 1.5  # this limit in the first round, in which the rate is still rough
+_BURSTS = 25  # multiple of the longest usual step: samples on either side of a loss that determine the least delay
 _STRETCHES = 100
 _GAP = 1.5  # usual steps between two readings; a longer step is a drop-out
 _ROUNDS, _SLOPES = 12, 3
@@ -178,7 +178,7 @@ def _losses(elapsed: FloatArray, up: FloatArray, step: float, least: float) -> I
 # ---- stamps of a host
 
 
-_UNEVEN = (0.5, 1.5)  # of the mean step: one of ten steps beyond either
+_UNEVEN = (0.5, 1.5)  # limits relative to the mean step: one of ten steps is outside
 _CATCHES_UP = 0.35  # variance of the time over many samples, divided by the variance of independent steps
 _SPAN = 64  # samples
 _NORMAL = 2.563  # standard deviations between the 10 % and 90 % quantiles of a normal distribution
@@ -208,8 +208,8 @@ def host_clock(stamps: FloatArray) -> ClockFit | None:
 
 # ---- counters
 
-_OFTEN = 0.05  # of the rows: a step that is this frequent is one sample, or a few where some are lost
-_WHOLE_BITS = 0.95  # of a power of two: the counter has that many bits, and lost samples at each wrap
+_OFTEN = 0.05  # share of the rows: a step this frequent is one sample, or a few samples if some are lost
+_WHOLE_BITS = 0.95  # share of a power of two: the counter has this number of bits, and samples are lost at each wrap
 _DECIMAL = (100, 1000, 10_000, 100_000)
 
 
@@ -229,7 +229,7 @@ def unwrapped(counter: FloatArray) -> IntArray:
             f"{int((steps == 0).sum())} samples without a step. Name a counter of samples, or omit the counter."
         )
     if (steps < 0).any():
-        size = usual - int(steps.min())  # of a wrap at which no sample was lost
+        size = usual - int(steps.min())  # size of a wrap at which no sample was lost
         bits = 1 << (size - 1).bit_length()
         alone = (steps == steps.min()).sum() == 1 and size not in _DECIMAL
         steps = np.where(steps < 0, steps + (bits if alone and size > _WHOLE_BITS * bits else size), steps)

@@ -190,7 +190,7 @@ class ColumnMap(TextLayout):
         return self if held is None else self.but(temp_file=held.but(file=str((folder / held.file).resolve())))
 
 
-READ_SETTINGS = ColumnMap.model_construct()  # of the defaults, whose validation would slow every start
+READ_SETTINGS = ColumnMap.model_construct()  # defaults without validation, which would slow every start
 
 
 def map_of_channels(columns: Mapping[str, Any], units: Mapping[Any, str], **keys: Any) -> ColumnMap:

@@ -35,8 +35,8 @@ from undrift.io.labels import label_of
 from undrift.record import ForceUncertainty, Record, State, sample_rate_of
 from undrift.units import si_factor
 
-EPOCH_S = 1e8  # a clock beyond this counts from 1970: it is shown from its first sample
-KIND, FORMAT = "undrift.record", 1  # of undrift's own recordings, in Parquet and next to CSV
+EPOCH_S = 1e8  # a clock beyond this counts from 1970: it is printed relative to its first sample
+KIND, FORMAT = "undrift.record", 1  # kind and format of undrift's own recordings, in Parquet and next to CSV
 
 
 # ---- a table of named columns
@@ -324,7 +324,7 @@ def _time(table: RawTable, how: ColumnMap) -> FloatArray:
 
 
 def _forward(table: RawTable, time: FloatArray, how: ColumnMap) -> BoolArray | None:
-    """Return the rows whose time goes forward, None when all do."""
+    """Return the rows whose time increases, or None if all do."""
     steps = np.diff(time)
     if (steps > 0.0).all():
         return None
@@ -335,7 +335,7 @@ def _forward(table: RawTable, time: FloatArray, how: ColumnMap) -> BoolArray | N
         if keep.sum() >= 0.5 * len(time):
             return keep
         raise InputError(
-            f"{table.source}: time column {column!r}: expected time that mostly goes forward, got {int((~keep).sum())} of "
+            f"{table.source}: time column {column!r}: expected time that mostly increases, got {int((~keep).sum())} of "
             f"{len(time)} rows to drop. Check that this is the time column."
         )
     kind = "doubled" if steps[row - 1] == 0.0 else "backward"
@@ -463,7 +463,7 @@ def native_columns(record: Record) -> tuple[tuple[str, ...], tuple[FloatArray, .
 
 
 def marks_of(record: Record) -> dict[str, Any]:
-    """Return what undrift writes beside the columns of a record, for ``read_marks``."""
+    """Return the properties that undrift writes with the columns of a record, for ``read_marks``."""
     marks: dict[str, Any] = {"frame": record.frame, "state": record.state, "device": record.device}
     if record.accel_uncertainty is not None:
         marks["accel_uncertainty"] = tree_of(record.accel_uncertainty)

@@ -71,7 +71,7 @@ def read_frame(
 def _columns_of(frame: Any) -> tuple[dict[str, Any], Any, dict[str, Any]]:
     """Return the columns by name, the index where there is one, and undrift's marks."""
     raw = {"frame": "s", "state": "raw"}
-    if hasattr(frame, "iloc"):  # of pandas
+    if hasattr(frame, "iloc"):  # a frame of pandas
         columns = {str(name): frame.iloc[:, k] for k, name in enumerate(frame.columns)}
         return columns, frame.index, frame.attrs.get("undrift", raw)
     import pyarrow as pa
@@ -116,8 +116,8 @@ def _plain(names: Sequence[str]) -> dict[str, str | tuple[str, ...]]:
 
 
 def _numbers(values: Any, dated: bool) -> Any:
-    """Return a column as float64, with dates in s from the first. Text is returned unchanged, so that the table can
-    name it.
+    """Return a column as float64, with dates in s from the first. Text is returned unchanged, so that a later error
+    can quote it.
     """
     arrow = isinstance(values, np.ndarray)
     if dated:

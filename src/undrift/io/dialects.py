@@ -68,7 +68,7 @@ class Dialect(MapTable):
     folder: str = ""  # File to read of a folder: its name, or "*" and its ending
     units: dict[str, str] = {}  # From the manual, for channels whose columns state none
     device: str = ""  # pattern in the lines before the header, with the serial number as its group
-    device_in_name: Pattern | None = None  # the same for the name of the file
+    device_in_name: Pattern | None = None  # pattern of the device in the name of the file
     rate: str = ""  # pattern in the lines before the header, with the sample rate as its group, Hz
     channel_line: Pattern | None = None  # Line before the header that states name, sensor, signal, rate, unit and time
     packets: MapCounter | None = None  # counter of the packets: a skipped number is a lost packet
@@ -216,7 +216,7 @@ def _from_zero(sheet: Sheet, counts: FloatArray, counter: MapCounter | None) -> 
     steps = np.mod(np.diff(counts), size)
     if (back := np.flatnonzero(steps > size // 2)).size:
         raise FileFormatError(
-            f"{sheet.path}: expected a counter that goes forward, got {counts[back[0]]:.10g} and then "
+            f"{sheet.path}: expected a counter that increases, got {counts[back[0]]:.10g} and then "
             f"{counts[back[0] + 1]:.10g} in "
             f"data row {back[0] + 2}. The file is damaged or contains two recordings. Split it there."
         )

@@ -37,7 +37,7 @@ _UNITS = {  # units that a name may state, besides those that a reader accepts
     "accel": (("m/s2", r"m[_/]?s\^?2"), ("mg", r"\bmg\b|_mg\b"), ("g", r"\(g\)|_g\b"), ("count", r"raw|count|lsb")),
     "temp": (("degC", r"deg ?c|celsius|degrees c"), ("count", r"raw|count|lsb")),
 }
-_FORCE = re.compile(r"GRF|COP|FREEMOMENT|^[FM][xyz]\[")  # of a force plate
+_FORCE = re.compile(r"GRF|COP|FREEMOMENT|^[FM][xyz]\[")  # columns of a force plate
 _NO_SENSOR = re.compile(
     r"(?i)quat|euler|pos|vel|force|moment|angle|roll|pitch|yaw|mat\[|COG|ankle|knee|hip|mag|a\.u\.|uT|gauss|\(G\)"
 )
@@ -63,12 +63,12 @@ _NAMED = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MapProposal:
-    """The map that a table seems to need. A unit or rate that nothing shows is "?", for a person to fill in."""
+    """Proposed map of a table. A unit or rate that the table does not determine is "?", for a person to fill in."""
 
     columns: dict[str, Any]  # column or columns of each channel; of orientations: time or counter, quaternion
     units: dict[str, str]
-    reasons: dict[str, str] = field(default_factory=dict)  # figure that suggests a unit, if no name states it
-    rate: str = ""  # sample rate of a table without time, Hz, with its source; "?" if nothing states it
+    reasons: dict[str, str] = field(default_factory=dict)  # number that suggests a unit, if no name contains it
+    rate: str = ""  # sample rate of a table without time, Hz, with its source; "?" if it is unknown
     layout: dict[str, Any] = field(default_factory=dict)  # keys of a text layout that are not usual
     others: str = ""  # first columns of other sensors in the file, which are not taken
     clock: str = ""  # key for time stamps that a reader refuses without it
@@ -308,7 +308,7 @@ def _by_position(table: RawTable) -> dict[str, Any]:
 
 
 def _counts(values: FloatArray) -> bool:
-    """Return True if a column counts rows: whole numbers that increase by 1 except where they restart."""
+    """Return True if a column counts rows: whole numbers that increase by 1 except when they restart."""
     steps = np.diff(values[:, 0])
     return len(steps) > 1 and bool(np.mean(steps == 1.0) > 0.9)
 
@@ -332,7 +332,7 @@ def _order_of(time: FloatArray) -> str:
     if (steps < 0.0).any():
         return f"repair_time = true  # {int((steps <= 0.0).sum())} stamps repeat or step back: their rows are left out"
     repeated = int((steps == 0.0).sum())
-    return f'clock = "regular"  # {repeated} stamps repeat, as those of a host' if repeated else ""
+    return f'clock = "regular"  # {repeated} stamps repeat, as in the clock of a host' if repeated else ""
 
 
 def _unit_of(channel: str, *names: str) -> str:
@@ -364,7 +364,7 @@ def _units_by_size(table: RawTable, columns: dict[str, list[Column]]) -> dict[st
         elif not whole and (largest >= _RATE["dps"][0] or _least_spread(gyro) < _SPREAD_RAD_S):
             add("gyro", largest, _RATE, "the largest rate")
     step = float(np.median(np.diff(values_of["time"][:, 0]))) if "time" in values_of else 1.0
-    if step != 1.0:  # of a counter, or 1 ms
+    if step != 1.0:  # step of a counter, or 1 ms
         add("time", step, _STEP, "the median step")
     if "temp" in values_of and not np.array_equal(values_of["temp"], np.round(values_of["temp"])):
         add("temp", float(np.median(values_of["temp"])), {"degC": _TEMP_C}, "the median")

@@ -256,7 +256,7 @@ def _markers(path: Path, up: Up | None) -> Description:
         if error.numbers.get("missing") != "up":
             raise
         markers = read_markers(path, up="z")
-        sentence, action = "The file does not state which axis points up.", "Set `reference_up` to y or z."
+        sentence, action = "The file does not contain which axis points up.", "Set `reference_up` to y or z."
         findings.append(finding("recording.up_axis", "warn", sentence, action))
     findings += rows_left_out(markers.short_rows, "they end before the last marker, which is read as lost")
     gap: BoolArray = np.any(np.isnan(markers.points), axis=2)
@@ -288,7 +288,7 @@ def _settings(path: Path, name: str) -> Description:
     try:
         content = json.loads(read_tree(path))
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: expected JSON, got something else: {error}. Repair the file.") from error
+        raise InputError(f"{path}: this is not valid JSON: {error}. Repair the file.") from error
     keys = content if isinstance(content, dict) else {}
     if str(keys.get("kind")).startswith("undrift."):
         kind = str(keys["kind"]).removeprefix("undrift.")

@@ -243,7 +243,7 @@ def _chosen(sheet: Sheet, triples: Triples, sensor: str | None) -> dict[str, tup
         )
     chosen: dict[str, tuple[int, ...]] = {}
     for channel, by_sensor in triples.items():
-        only = next(iter(by_sensor.values())) if len(by_sensor) == 1 else None  # of several magnetometers none is known
+        only = next(iter(by_sensor.values())) if len(by_sensor) == 1 else None  # of several, none is known
         if columns := only if wanted is None else by_sensor.get(wanted) or by_sensor.get(""):
             chosen[channel] = columns
     return chosen
@@ -270,7 +270,7 @@ def _notes(sheet: Sheet, triples: Triples) -> tuple[str, ...]:
         axes = {label.axis for _, _, label in columns if label.unit}
         bare = next((name for _, name, label in columns if not label.unit), None)
         if axes:
-            notes.append(f"{what.partition(' ')[2]} left out: it has axes {', '.join(sorted(axes))} alone")
+            notes.append(f"{what.partition(' ')[2]} left out: it has only axes {', '.join(sorted(axes))}")
         if bare:
             notes.append(f"{bare!r} left out: it has no unit of {what}")
     return tuple(notes)

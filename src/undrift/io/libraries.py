@@ -171,7 +171,7 @@ def _ros(path: Path, how: ColumnMap) -> RawTable:
     time, channels = (stamps - stamps[0]) * 1e-9, Channels()
     notes = [
         f"topic {topic}, frame {frame or 'not stated'}, time by header.stamp, units as ROS defines them (rad/s, m/s2)",
-        f"time 0 is {stamps[0] * 1e-9:.6f} s of the stamps",
+        f"time 0 is the time stamp {stamps[0] * 1e-9:.6f} s",
     ]
     for channel, name, unit in (("gyro", "angular_velocity", "rad/s"), ("accel", "linear_acceleration", "m/s2")):
         if all(getattr(row, f"{name}_covariance")[0] == -1.0 for _, row in rows):
@@ -231,7 +231,7 @@ def _ulog(path: Path, how: ColumnMap) -> RawTable:
         values: FloatArray = np.stack([data[axis] for axis in "xyz"], axis=1).astype(np.float64)
         if not np.array_equal(clock(data), time):
             values, missing = onto_clock(time, clock(data), values)
-            lost = f", {missing} samples in its drop-outs are gaps" if missing else ""
+            lost = f", with gaps at {missing} samples in its drop-outs" if missing else ""
             notes.append(f"{channel} interpolated onto the gyroscope's time stamps{lost}")
         channels[channel] = (values, unit)
     if "temperature" in main and np.isfinite(main["temperature"]).all():

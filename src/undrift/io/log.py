@@ -33,14 +33,14 @@ from undrift.io.text import Text, as_utf8, find_table, parse_text, text_of
 _HEAD = 1 << 16
 _WATCHED = 1 << 16  # lines, between two words of how far a file is read
 _LEAST = 5  # readings of a log, and lines that may belong to one reading
-_SHARE = 0.5  # of the lines of the most frequent shape: as frequent, so that it comes in every reading
-_MOST_LINES = 24  # of one reading
+_SHARE = 0.5  # a line shape belongs to every reading if it has this share of the lines of the most frequent shape
+_MOST_LINES = 24  # most lines of one reading
 _NUMBER = re.compile(r"(?<![\w.^])[-+]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|(?:nan|inf)\b)")
 _UNSEEN = re.compile(
     r"\x1b\[[0-9;]*[A-Za-z]|[\x01-\x08\x0b\x0c\x0e-\x1f\x7f]|\x00+$"
 )  # colours of a terminal, noise of a port, the end of a C string; other zeros are damage
 _DAY_S = 86400.0
-_STAMPS = (  # of a monitor or a system, the latter with level and part
+_STAMPS = (  # time stamps of a monitor or of a system, the latter with level and component
     re.compile(
         r"\[?(?:\d{4}-\d\d-\d\d[ T])?(?P<h>\d{1,2}):(?P<m>\d\d):(?P<s>\d\d[.,]\d{3})(?:,?(?P<us>\d{3}))?Z?"
         r"(?: ->|\]:?(?: <\w+> [\w./-]+:)?)"

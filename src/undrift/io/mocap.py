@@ -27,7 +27,7 @@ from undrift.record import Reference, check_time, sample_rate_of
 from undrift.units import si_factor
 
 Up = Literal["y", "z"]
-_ROUNDS = 4  # of the average shape: it settles in two
+_ROUNDS = 4  # rounds for the average shape, which settles in two
 _FLAT = 1e-2  # a cluster's width over its length, under which the turn about the long axis is not seen
 
 
@@ -119,7 +119,7 @@ def fit_cluster(markers: Markers, labels: tuple[str, ...] | list[str]) -> Cluste
 
 
 def quaternions_of(matrices: FloatArray, known: BoolArray) -> FloatArray:
-    """Return the quaternions (N, 4) of rotation matrices (N, 3, 3), NaN where a matrix is not known."""
+    """Return the quaternions (N, 4) of rotation matrices (N, 3, 3), NaN for unknown matrices."""
     from scipy.spatial.transform import Rotation
 
     quaternions = np.full((len(matrices), 4), np.nan)
@@ -154,8 +154,8 @@ def markers_of(
     """Return marker trajectories in the level frame. The axis that points up must be given."""
     if up is None:
         raise InputError(
-            f"{path}: expected the axis that points up, got none. {why} does not contain it. Set up = 'y' or 'z', or the "
-            "option --reference-up.",
+            f"{path}: expected the axis that points up, got none. {why} does not contain it. Set up = 'y' or 'z', or use "
+            "the option --reference-up.",
             missing="up",
         )
     with naming(path):
@@ -332,7 +332,7 @@ def read_trc(path: str | Path, up: Up | None = None) -> Markers:
         raise FileFormatError(f"{path}: expected NumMarkers of 1 or more in line 3, got {head['NumMarkers']!r}")
     wanted = int(head["NumMarkers"])
     if len(labels) != wanted:
-        raise FileFormatError(f"{path}: expected {wanted} marker labels in line 4 (NumMarkers), got {len(labels)}")
+        raise FileFormatError(f"{path}: expected {wanted} marker labels in line 4 (NumMarkers), got {len(labels)}.")
     time, cells, short = _rows(lines, 2 + 3 * wanted, path)
     frame_count = int(head.get("NumFrames", "")) if head.get("NumFrames", "").isdigit() else 2
     if len(time) < max(frame_count, 2):

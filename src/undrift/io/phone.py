@@ -1,9 +1,9 @@
 """Exports of phone apps: a file for each sensor, in a folder or a zip, all on one clock.
 
 Apps: Sensor Logger, phyphox. The accelerometer is interpolated onto the time stamps of the gyroscope. Sensor Logger
-names each file after its sensor. Accelerometer.csv is without gravity. On iOS its acceleration is the opposite of
-specific force, unless units and frames are standardised according to Metadata.csv. phyphox reverses the sign of iOS
-itself.
+names each file after its sensor. Accelerometer.csv is without gravity. On iOS, its acceleration has the opposite sign of
+specific force, unless Metadata.csv contains that units and frames are standardised. phyphox already reverses the sign on
+iOS.
 """
 
 import csv

@@ -187,7 +187,7 @@ class ReferenceMap(FileTable):
     columns: PoseColumns = PoseColumns.model_construct()
     units: dict[Literal["time", "position", "markers", "angle"], str] = Field(
         default_factory=dict
-    )  # of the columns that are named
+    )  # unit of each named column
     sample_rate_hz: float | None = None  # Hz, without a time column
     # "body_to_level" as undrift has it, or "level_to_body" for the inverse
     turns: Literal["body_to_level", "level_to_body"] = "body_to_level"

@@ -57,7 +57,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, gravity_at
 
 NAME = "session.toml"
 _SEAL = "# sha256 of all below: "
-_SLACK = 1e-3  # of a sample: a time written with fewer digits still finds its sample
+_SLACK = 1e-3  # part of a sample: a time written with fewer digits still finds its sample
 
 
 class HeadEntry(FileTable):
@@ -442,7 +442,7 @@ def proposed_toml(
     for turn in steady:
         lines = _piece_toml(_entry_of(turn, session.records)).splitlines()
         marked = "".join(f"# {line}\n" for line in [*lines, "turn_rate_dps = ?"])
-        blocks.append("# a steady turn: enter its achieved rate and remove the marks\n" + marked)
+        blocks.append("# a steady turn: enter its achieved rate and remove the # at the start of each line\n" + marked)
     return "\n".join(blocks)
 
 

@@ -17,12 +17,12 @@ GRAVITY_RANGE = (0.8, 1.25)  # g: a worn sensor's median lies inside
 ROOM_C = (-10.0, 45.0)
 JUMP_C = 5.0  # between two samples
 REST_TURN_RATE = 0.35  # rad/s, 20 deg/s: no gyroscope's offset
-UNEVEN = 0.1  # of the median step, between quartiles
+UNEVEN = 0.1  # limit of the distance between quartiles, relative to the median step
 STUCK = 8  # samples in a row at the largest reading
 
 
 def find_symptoms(record: Record) -> tuple[Finding, ...]:
-    """Return what looks wrong with a recording."""
+    """Return the symptoms of a recording."""
     symptoms = [*check_gravity(record), *_rest(record), *_temperature(record), *check_sampling(record.time)]
     for name in ("gyro", "accel"):
         if getattr(record, name) is not None:
@@ -51,7 +51,7 @@ def check_gravity(record: Record) -> Iterator[Finding]:
         yield finding(
             "recording.gravity",
             "warn",
-            f"The median acceleration is {median:.3g} g where a body at rest reads 1 g ({factor:.3g} times too "
+            f"The median acceleration is {median:.3g} g, but a body at rest reads 1 g ({factor:.3g} times too "
             f"{direction}){cause}.",
             "Correct units.accel or scale.accel in the map.",
             median_g=median,
@@ -123,7 +123,7 @@ def check_sampling(time: FloatArray) -> Iterator[Finding]:
         return
     low, middle, high = np.quantile(steps, 0.25), float(np.median(steps)), np.quantile(steps, 0.75)
     if high - low > UNEVEN * middle:
-        sentence = f"The sampling is uneven: half of the steps lie outside {1e3 * low:.4g} to {1e3 * high:.4g} ms."
+        sentence = f"The sampling is uneven: half of the steps are outside {1e3 * low:.4g} to {1e3 * high:.4g} ms."
         yield finding("recording.uneven_sampling", "warn", sentence)
     lost = steps > 1.5 * middle
     if lost.any():

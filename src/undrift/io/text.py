@@ -53,7 +53,7 @@ Provenance: TypeAlias = Mapping[str, Any]  # origin of a record and its program,
 EMPTY = ["", "NaN", "nan", "NAN", "NA", "N/A", "n/a", "null", "NULL", "None", "-nan", "#N/A"]
 _HEAD = 1 << 20  # bytes at the start
 _LINES = 1 << 16  # bytes at the start, in which the layout is found
-_NUMERIC = 0.6  # of the filled cells of a row of readings, and of units
+_NUMERIC = 0.6  # share of the filled cells: in a row of readings, and in a row of units
 _NO_LINE_END = "the last row has no line end: it may be cut"
 _PIECE = 1 << 24  # bytes that are parsed at a time
 _LINE = 1 << 12  # bytes of the end in which blank lines are looked for
@@ -84,7 +84,7 @@ def _skipped_readings(text: "Text") -> list[str]:
 
 
 def write_csv(record: Record, path: str | Path, made_by: Provenance | None = None) -> None:
-    """Write a record with undrift's own column names. Every number reads back to the same bits."""
+    """Write a record with undrift's own column names. Every number is read back without loss."""
     path, (names, columns), beside = Path(path), native_columns(record), None
     if made_by or record.frame != "s" or record.state != "raw" or record.device:
         beside = json.dumps(statement_of(record, path, names) | {"provenance": made_by or None}, indent=1) + "\n"
@@ -123,7 +123,7 @@ def _read_sidecar(path: Path, names: Sequence[str]) -> dict[str, Any] | None:
     if not isinstance(sidecar, dict) or sidecar.get("kind") != KIND:
         if b'"undrift.' in content:
             raise FileFormatError(f"{beside}: this JSON file was changed after undrift wrote it. Restore the file.")
-        return None  # of another program
+        return None  # a file of another program
     if sidecar.get("format") != FORMAT:
         raise FileFormatError(
             f"{beside}: expected {KIND} format {FORMAT}, got format {sidecar.get('format')}. Read it with the "
@@ -194,7 +194,7 @@ class Appender:
                 done += os.write(self._sink, content[done:])
             os.fsync(self._sink)
         except OSError as error:
-            with suppress(OSError):  # of a file that was not opened, too
+            with suppress(OSError):  # the file may not be open
                 os.ftruncate(self._sink, start + content.rfind(b"\n", 0, done) + 1)
             raise unwritten(self.path, error) from error
 
@@ -468,7 +468,7 @@ def _parse_by_row(text: Text, positions: list[int]) -> RawTable:
     content = text.content if text.content is not None else read_bytes(text.path)
     lines = re.split(r"\r?\n|\r", _BLANK_END.sub(b"\n", content).decode("utf-8", "replace"))[text.skip :]
     rows: list[list[Any]] = []
-    numbers: list[int] = []  # of these rows in the file, from 0
+    numbers: list[int] = []  # positions of these rows in the file, from 0
     bad: list[tuple[int, str]] = []
     for number, line in enumerate(lines):
         if not line.strip():
@@ -502,7 +502,7 @@ def _parse_by_row(text: Text, positions: list[int]) -> RawTable:
 
 
 def _problem_of(text: Text, line: str, cells: list[str], positions: list[int]) -> str:
-    """Return what is wrong with a row, "" if nothing is."""
+    """Return the problem of a row, or "" if it has none."""
     if line.count('"') % 2:
         return f"expected quotes that close in their row, got {line[:40]!r}"
     if len(cells) != len(text.names):

@@ -35,7 +35,7 @@ CHECKSUMS: dict[
 }
 
 
-# ---- StreamDescription: channels, units and framing of what a device sends.
+# ---- StreamDescription: channels, units and framing of the stream of a device.
 
 COUNTER, IGNORED = "count", "-"
 TRIADS = ("gyro", "accel", "mag")

@@ -91,7 +91,7 @@ def _uncertainty(calibration: Calibration) -> Table:
             expanded = np.abs(factor * table.expanded[table.of_block(block)])
             largest = float(expanded.max(initial=0.0))
             rows.append((f"{NAMES[name]}: {BLOCKS[block]}", largest if largest > 0.0 else None, unit))
-    note = "The largest of the axes, 95 %, at the temperature of the calibration. A dash: not calibrated or not known."
+    note = "The largest of the axes, 95 %, at the temperature of the calibration. A dash means not calibrated or not known."
     return Table(title="Expanded uncertainty", columns=("parameter", "U", "unit"), rows=rows, form=".2g", note=note)
 
 

@@ -48,7 +48,7 @@ METHODS = {  # a method's name and its description on a certificate
     "multi-position": "rests in free poses against the size of gravity",
     "rest": "rests only: the offset is measured, the scale factor is nominal",
     "reference": "motion against an orientation reference",
-    "motion": "gravity in free motion, nothing else",
+    "motion": "only gravity in free motion",
 }
 BY_HAND = (
     "Customer", "Ambient temperature", "Relative humidity", "Due date", "Date of issue", "Authorised by", "Signature",
@@ -154,7 +154,7 @@ def _budget(name: str, model: TriadModel, table: ParameterTable) -> Table:
         "Standard uncertainty by source, root mean square over the parameters of a kind; type of evaluation A or B (JCGM 100). "
         "Scale factor and cross-axis sensitivity in per cent of the mean scale factor."
     )
-    note += "" if separated else " The calibration keeps no separate shares: one line states all sources together."
+    note += "" if separated else " The calibration keeps no separate shares: one line contains all sources together."
     columns = ("source", "type", *(f"{BLOCKS[block]} ({units[block][1]})" for block in places))
     return Table(
         title=f"{NAMES[name].capitalize()}: uncertainty budget", columns=columns, rows=rows, form=".2g", note=note
@@ -253,7 +253,7 @@ def _references(calibration: Calibration) -> Iterator[str]:
             f"Local gravity: {calibration.gravity_m_s2:.5f} m/s² (source: {settings.get('gravity', 'not stated')}), {statement}. "
             "A relative error of it is the same relative error of the accelerometers' scale factor."
         )
-    yield "This document lists no certificates of these references and claims no accreditation."
+    yield "This document does not list certificates of these references and does not claim accreditation."
 
 
 def _limits_of_validity(calibration: Calibration) -> Iterator[str]:
@@ -267,7 +267,7 @@ def _limits_of_validity(calibration: Calibration) -> Iterator[str]:
             calibrated = f"calibrated from {low:.4g} to {high:.4g} {unit}, at steady values"
             yield f"{NAMES[name].capitalize()}: {calibrated}. Larger values are not covered."
     if "accel" in triads:
-        method, size = triads["accel"].method, "of a data sheet's size (2e-4 per m/s²) is included in U of their offset"
+        method, size = triads["accel"].method, "of data-sheet size (2e-4 per m/s²) is included in U of their offset"
         remark = "is part of their offset, and not included in U"
         if method.startswith("six-face"):
             remark = f"{size}. 18 free poses would determine it"
@@ -276,8 +276,8 @@ def _limits_of_validity(calibration: Calibration) -> Iterator[str]:
         yield f"The accelerometers are taken as linear within 1 g. A quadratic term {remark}."
     static = None if calibration.drift is None else calibration.drift.static
     if static is None:
-        yield "Offsets hold at the reference temperature. Change with temperature is not included in U."
+        yield "Offsets apply at the reference temperature. Change with temperature is not included in U."
     else:
         nodes = static.temp_c
-        yield f"Drift tables hold from {nodes[0]:.1f} to {nodes[-1]:.1f} °C. U of the results is that at the reference temperature."
-    yield "Change with time, shock and supply voltage are not included. Calibrate again when a known rest reads otherwise."
+        yield f"Drift tables apply from {nodes[0]:.1f} to {nodes[-1]:.1f} °C. U applies at the reference temperature."
+    yield "Change with time, shock and supply voltage are not included. Calibrate again if a known rest reads differently."

@@ -188,10 +188,10 @@ def _dynamic(fit: DriftFit) -> Iterator[Table]:
 # ---- pictures
 
 MOST_POINTS = 3000  # blocks drawn
-_MANY = 300  # of them: small marks
+_MANY = 300  # from this number of blocks on, marks are small
 NORMAL_95 = 1.96
 _CURVES = 5  # temperatures of the dynamic drift that are drawn
-_COURSES = (  # of the temperature: sign, mark, colour
+_COURSES = (  # direction of the temperature change: sign, mark, colour
     ("warming", -1.0, "^", "#c23b3b"),
     ("cooling", 1.0, "v", "#2b62b3"),
     ("direction not known", 0.0, "o", figures.LIMIT),

@@ -50,7 +50,7 @@ COLUMNS_DRAWN = 1200  # more than a picture shows apart
 WIDTH, TEXT_PT, LEAST_SIZE = 4.8, 9.0, 8.7  # inches, and points of the usual and of the smallest text
 _LETTER = 0.58  # usual width of a letter, of the size of its text
 _LABELS_PT = 56.0  # width of the labels of an axis next to a panel
-_UNDATED: Any = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}  # the same bytes for the same figure
+_UNDATED: Any = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}  # the same figure gives the same bytes
 _STYLE: Any = {  # matplotlib types every key by name
     "font.size": TEXT_PT,
     "axes.spines.top": False,
@@ -314,9 +314,9 @@ def _motion_of(trial: "Trial") -> list[tuple[float, float]]:
     return [(float(trial.time[start]), float(trial.time[stop - 1])) for start, stop in runs(trial.moving)]
 
 
-# ---- a recording, and what was found in it
+# ---- a recording, and the rests and turns in it
 
-_ROOM = 0.017  # of the width of the picture, for each letter of a label
+_ROOM = 0.017  # room for each letter of a label, relative to the width of the picture
 _REASONS = 4  # that the legend lists
 _LEVELS = {"still": 2.0, "turn": 1.0, "left out": 0.0}
 _SHOWN_UNIT = {"dps": "deg/s", "count": "counts"}

@@ -123,7 +123,7 @@ class Report:
     written : sequence of Path
         Files and folders.
     data : mapping
-        Values for programs, beside the tables, such as a calibration.
+        Values for programs, in addition to the tables, such as a calibration.
     next_command : sequence
         Words of the command that usually follows, without "undrift".
     """
@@ -202,7 +202,7 @@ def cell_text(cell: Cell, form: str) -> str:
 
 
 def plain(value: object) -> Plain:
-    """Return a value made of what JSON knows: dataclasses as mappings, arrays as lists, NaN and infinity as None."""
+    """Return a value made of JSON types: dataclasses as mappings, arrays as lists, NaN and infinity as None."""
     if isinstance(value, Finding):
         (value,) = findings_json([value])
     if is_dataclass(value):

@@ -25,12 +25,12 @@ OFFSETS = {
 }
 GOOD_ENOUGH = (
     "Good enough: 95 % of the simulated devices, each on a person of its own, stay below the target. A session is tested "
-    "with other devices on the other group of people. All figures are simulated, and errors are those of a device that "
-    "is fixed to the bone: how it sits on the body adds about 1 deg, whichever session is chosen."
+    "with other devices on the other group of people. All figures are simulated, and errors apply to a device that "
+    "is fixed to the bone: its attachment to the body adds about 1 deg, whichever session is chosen."
 )
 SLOPE_OF_THE_NOTE = (
     "The slope of the offset over temperature in the preset was chosen to match Figure 3 of the note. The error without "
-    "compensation therefore confirms nothing. Compare only the remaining errors with the note."
+    "compensation is therefore not evidence. Compare only the remaining errors with the note."
 )
 NOTE = (
     'The note: D. Giansanti et al., "Guidelines for calibration and drift compensation of a wearable device with '
@@ -132,7 +132,7 @@ def _for_all(outcome: StudyOutcome) -> Table:
             rows.append(row | (test if tested else dict.fromkeys(test)))
     note = GOOD_ENOUGH + _assumed(outcome)
     if outcome.study.shipped:
-        note += " Fits that come with undrift were used where they exist. One of them was made again for comparison, and agrees."
+        note += " Fits that come with undrift were used if available. One of them was made again for comparison, and agrees."
     return Table.of("The cheapest session that is good enough", rows, form="g", note=note)
 
 
@@ -142,7 +142,7 @@ def _sessions(outcome: StudyOutcome, task: TaskOutcome) -> Table:
     for row in task.sessions:
         against: str = "best" if row.against_best is None else row.against_best.verdict
         if row.failed == outcome.subjects:
-            against = "every device fails" if row.session.suits(device) else "not for readings in counts"
+            against = "every device fails" if row.session.suits(device) else "unsuitable for readings in counts"
         rows.append(
             {
                 "session": row.session.name,
@@ -198,10 +198,10 @@ def _breakdown(outcome: StudyOutcome) -> Table:
         if task.breakdown
     ]
     note = (
-        "Share of the mean square that is gone if one kind of error is switched off. Kinds act together, so shares need "
+        "Share of the mean square error that disappears if one kind of error is switched off. Kinds act together, so shares need "
         "not add up to 100 %."
     )
-    return Table.of("What the error is made of", rows, form=".0f", note=note)
+    return Table.of("Sources of the error", rows, form=".0f", note=note)
 
 
 def _commands(outcome: StudyOutcome, folder: Path) -> Sequence[tuple[str, str]]:
@@ -212,7 +212,7 @@ def _commands(outcome: StudyOutcome, folder: Path) -> Sequence[tuple[str, str]]:
     ]
 
 
-# ---- what the note reports
+# ---- results of the note
 
 
 def _table_1(task: TaskOutcome) -> Table:
@@ -301,7 +301,7 @@ def _methods(outcome: StudyOutcome) -> Table:
 
 
 def _json(outcome: StudyOutcome) -> dict[str, Any]:
-    """Return the settings of a study, and its results where a table would lose parts."""
+    """Return the settings of a study, and the results that do not fit into tables."""
     keys = ("name", "device", "group", "excursion_k", "seed", "offset", "timing", "fit", "margin_deg", "target_deg")
     tasks = [
         {

@@ -27,12 +27,12 @@ ERRORS = {
     "lag (ms)": "lag_ms",
 }
 PITCH_DEFINED = (
-    "pitch %: share of the samples in which pitch is defined. It is left out where the body lies within 5 deg of its "
-    "side, and near there pitch max may exceed the error in space."
+    "pitch %: share of the samples in which pitch is defined. It is left out if the body is within 5 deg of lying on "
+    "its side. Near that position, pitch max may exceed the error in space."
 )
 PREDICTED = (
-    "Predicted from the uncertainty of the calibration and from what changes between recordings of a device: 95 % of the "
-    "errors are at most as large."
+    "Predicted from the uncertainty of the calibration and from the changes of a device between recordings: 95 % of the "
+    "errors do not exceed it."
 )
 
 
@@ -113,7 +113,7 @@ def _answer(compared: Comparison) -> str:
 
 
 def _correction(compared: Comparison) -> str:
-    """Return what was done to the readings, in words."""
+    """Return a phrase for the processing of the readings."""
     words = f"calibrated with {compared.source}" if compared.source else "calibrated with these same recordings"
     if compared.result.held_out:
         words = "calibrated with the other recordings"
@@ -139,7 +139,7 @@ def errors_table(result: Validation) -> Table:
 
 
 def _predicted(trials: tuple[Trial, ...]) -> Table:
-    """Return the errors beside their predicted limits."""
+    """Return the errors next to their predicted limits."""
     rows: list[dict[str, Cell]] = [
         {
             "recording": trial.recording,
@@ -162,8 +162,8 @@ def _method(compared: Comparison) -> str:
     mounted = " The mounting of the calibration turned the readings." if settings.mounting else ""
     text = (
         f"Readings: {_correction(compared) or 'as they are'}. "
-        f"The tilt at the start is that of the specific force, and the heading that of the reference, over the last "
-        f"{REST_S:g} s of rest. From {LEAD_S:g} s before the motion on, the gyroscopes alone are integrated. "
+        f"The tilt at the start is taken from the specific force, and the heading from the reference, over the last "
+        f"{REST_S:g} s of rest. From {LEAD_S:g} s before the motion on, only the gyroscopes are integrated. "
         f"A lag of up to {OWN_LAG_S * 1e3:g} ms is the sensor's own and stays in the errors. A longer lag is removed. "
         f"The rotation between device and reference is removed{above}. "
         f"The pitch is in the plane of {settings.forward} (forward) and {settings.up} (up).{mounted} "

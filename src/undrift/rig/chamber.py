@@ -38,7 +38,7 @@ from undrift.programme import Soak
 from undrift.record import Face, Record
 from undrift.rig.link import Link
 
-FEWEST_READINGS = 6  # of a slope
+FEWEST_READINGS = 6  # fewest readings that determine a slope
 BAUD = 9600  # bits per second of a serial port
 
 log = logging.getLogger(__name__)

@@ -176,7 +176,7 @@ class LinkedRig(Link):
             raise InputError(f"rig: axis must be one of {letters}, got '{self.axis}'. Set another axis.")
         self._enabled = False
         self._refused = ""  # reason to refuse all commands
-        self._acceleration = math.inf  # of both ramps, units/s2
+        self._acceleration = math.inf  # acceleration of both ramps, units/s2
         self._fastest = math.inf  # largest rate, units/s
         self._home = 0.0  # position when the rig was opened, units
         self._last = math.nan  # last position, units (NaN until the first one)

@@ -82,5 +82,5 @@ def open_from(url: str, settings: RigSettings) -> ManualRig:
     if url:
         raise InputError(f"manual rig: the address must be 'manual:', got 'manual:{url}'. A person has no port.")
     if settings.ask is None:
-        raise InputError("manual rig: no way to ask a person. Set RigSettings(ask=...).")
+        raise InputError("manual rig: it must ask a person, but `ask` is not set. Set RigSettings(ask=...).")
     return ManualRig(settings.ask, settings.limits, settings.clock)

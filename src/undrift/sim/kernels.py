@@ -13,7 +13,7 @@ import numpy as np
 from undrift.arrays import FloatArray, IntArray
 from undrift.kernels.compilation import compiled, compiled_to_the_bit
 
-# ---- dwells: what drifts and what follows from one to the next
+# ---- dwells: drift, and state passed from one dwell to the next
 
 
 @compiled
@@ -95,7 +95,7 @@ def follow_with_play(temp: FloatArray, half_width: float, output: float, out: Fl
 # ---- servo
 
 COUNTS_PER_LINE = 4
-VOLTS_PER_COUNT, CLIP_V = 3.0e-4, 10.0  # of the controller's converter
+VOLTS_PER_COUNT, CLIP_V = 3.0e-4, 10.0  # resolution and limit of the controller's converter
 ANGLE, RATE, ERROR, SAMPLES = 0, 1, 2, 3  # state: rad, rad/s, counts, samples since the start
 
 

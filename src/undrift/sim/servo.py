@@ -17,7 +17,7 @@ from undrift.arrays import FloatArray
 from undrift.errors import check_positive
 from undrift.sim.kernels import ANGLE, ERROR, SAMPLES, ServoSettings, servo
 
-LOG_S = 1e-3  # between two angles that are returned
+LOG_S = 1e-3  # time between two returned angles, s
 
 
 class Servo:
@@ -25,7 +25,7 @@ class Servo:
 
     def __init__(self, settings: ServoSettings = ServoSettings()) -> None:
         names = ("torque_constant", "inertia", "resistance", "amplifier_gain", "supply_voltage", "encoder_lines")
-        check_positive(settings, "servo", "Enter the value of the loop", *names, "period_s")
+        check_positive(settings, "servo", "Enter the parameter of the control loop", *names, "period_s")
         self.settings, self.powered = settings, False
         self._state, self._stride = np.zeros(4), max(1, round(LOG_S / settings.period_s))
         self._profile = np.zeros((1, 4))

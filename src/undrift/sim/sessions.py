@@ -15,7 +15,7 @@ from undrift.sim.motion.poses import OpticsSettings, see
 from undrift.sim.motion.tasks import TaskName, draw_task
 from undrift.units import STANDARD_GRAVITY
 
-SAMPLE_RATE_HZ = 100.0  # of a trial
+SAMPLE_RATE_HZ = 100.0  # sample rate of a trial
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -35,7 +35,7 @@ from undrift.sim.motion.bench import BenchErrors, turned
 from undrift.sim.motion.motion import unit_vector
 from undrift.units import STANDARD_GRAVITY
 
-# ---- a session and what is imposed
+# ---- a session and its imposed inputs
 
 WARMED_UP_S = 1800.0  # the bench waits half an hour after power-on
 ROOM_TEMP_C = 25.0
@@ -114,7 +114,7 @@ def impose_turns(
 
 
 def impose_faces(session: TableSession, errors: BenchErrors, draws: BenchDraws) -> ImposedDwells:
-    """Return what rests on faces truly impose."""
+    """Return the true inputs of rests on faces."""
     level = np.array([unit_vector(FACES[face]) for face in session.face])
     up = turned(level, errors.face_tilt * draws.face[session.face])
     return ImposedDwells(
@@ -166,7 +166,7 @@ def mean_readings(
 
 
 def _steady(chain: SensorChain, imposed: FloatArray, dwells: ImposedDwells, reference_temp_c: float) -> FloatArray:
-    """Return the signal after the steady effects, nominal input units, (N, 3). Hysteresis vanishes at one temperature."""
+    """Return the signal after the steady effects, nominal input units, (N, 3). Hysteresis is 0 at constant temperature."""
     off: dict[str, Any] = dict.fromkeys(
         ("hysteresis", "white_noise", "instability", "random_walk", "amplifier", "low_pass", "adc")
     )

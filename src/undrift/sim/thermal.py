@@ -39,7 +39,7 @@ from undrift.units import RADIAN_PER_DEGREE
 
 # ---- temperatures of set-point, air and board over time
 
-STEP_S = 1.0  # of a profile, s
+STEP_S = 1.0  # time step of a profile, s
 SECONDS_PER_MINUTE = 60.0
 SOAK_RATE_C_PER_MIN = 0.1  # a board is soaked while its temperature changes by less, degC/min
 MAX_WAIT_S = 4.0 * 3600.0  # for a soak, s
@@ -135,7 +135,7 @@ class ThermalChamber:
 
 
 def soak_profile(set_points_c: tuple[float, ...], measured_s: float, settings: ChamberSettings) -> Profile:
-    """Return a programme of soaks: at each set-point wait until the board is soaked, then stay as long as measuring takes."""
+    """Return a programme of soaks: wait at each set-point until the board is soaked, then for the time of the measurement."""
     if not set_points_c:
         raise InputError("soaks: at least one set-point is required. Set temperatures in degC.")
     chamber, soaked_s = ThermalChamber(settings, set_points_c[0]), []

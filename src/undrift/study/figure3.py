@@ -50,7 +50,7 @@ from undrift.validation.trial import Trial, TrialSettings
 
 # ---- the simulated and the actual device
 
-INL_LSB = 2.0  # [assumed] what 12-bit converters of the note's time are specified to
+INL_LSB = 2.0  # [assumed] specification of 12-bit converters of the note's time
 LEAST_LAG_S = 80.0  # LM335 in still air
 
 
@@ -162,7 +162,7 @@ def judge_compared(full: Calibration, record: Record, reference: Reference) -> t
     return tuple(trials)
 
 
-# ---- what calibrates and wears a device
+# ---- calibration and wearing of a device
 
 
 def calibrated(device: DeviceModel, *, rng: np.random.Generator, back: bool = True) -> Calibration:

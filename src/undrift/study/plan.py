@@ -125,7 +125,7 @@ class StudyTask:
     """One task of a study."""
 
     name: str  # sit_to_stand, step, posturography or free (any word for recorded people)
-    category: str = DEFAULT  # of the people who perform it
+    category: str = DEFAULT  # category of the people who perform the task
     motion: RecordedPeople | None = None  # recorded people in place of the library's task
     tried: TryEntry | None = None  # values of the note's numbers
 
@@ -216,7 +216,7 @@ class Study(Frame):
         if slowest * COUNT_S < count_deg * (1.0 - 1e-9):
             raise InputError(
                 f"study: {protocol.name} has a rate of {slowest:g} deg/s, less than one count ({count_deg:g} deg) of "
-                f"the table's encoder in {COUNT_S:g} s. The table cannot impose it: start at {count_deg / COUNT_S:g} deg/s."
+                f"the table's encoder in {COUNT_S:g} s. The table cannot turn that slowly. Start at {count_deg / COUNT_S:g} deg/s."
             )
 
     def unit(self, number: int, *, assumed: bool = True) -> DeviceModel:
@@ -304,7 +304,7 @@ def note_study() -> Study:
 class TaskEntry(FileTable):
     """[[task]]."""
 
-    name: str  # of the task
+    name: str  # name of the task
     category: str = ""  # category of its people, instead of the category in [study]
     motion: MotionEntry | None = None  # in place of a drawn performance
     tried: TryEntry | None = None  # values of the note's numbers

@@ -52,7 +52,7 @@ class OwnMotion(Posed):
 class RecordedPeople:
     """Recorded motions of several people, each with another unit of the device, or of one person with all units."""
 
-    trials: tuple[tuple[OwnMotion, ...], ...]  # of each person
+    trials: tuple[tuple[OwnMotion, ...], ...]  # trials of each person
 
     def of(self, number: int) -> tuple[OwnMotion, ...]:
         """Return the trials of a subject."""

@@ -152,7 +152,7 @@ class StudyDevice:
         return self._cases[key]
 
     def _worn_trials(self, task: StudyTask, rise_k: float) -> list[Worn]:
-        """Return what the device's person performs in a task, with the signals of the device."""
+        """Return the performance of the device's wearer in a task, with the signals of the device."""
         key, study = (task.key, rise_k), self.study
         if key not in self._worn:
             self._worn[key] = [

@@ -59,10 +59,10 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical
 ROOM_TEMP_C = 25.0
 WARM_C = 12.5  # worn temperature above the room, K: between the note's 10 and 15
 SETTLED_S = 3600.0  # the device has been on for an hour
-SAMPLE_RATE_HZ = 50.0  # of a session: the fits take means over seconds
+SAMPLE_RATE_HZ = 50.0  # sample rate of a session: the fits average over seconds
 HAND_AXIS = 2.0 * RADIAN_PER_DEGREE  # [assumed] axis of a turn by hand, each direction across it
 HAND_FACE = 0.5 * RADIAN_PER_DEGREE  # [assumed] face of a case on a table
-MOTION_RECORDINGS = 4  # of half a minute each
+MOTION_RECORDINGS = 4  # number of recordings, half a minute each
 MOTION_RATE_HZ = 100.0
 KEY_STEP = 1e-9  # rad/s: rates nearer than this are one
 
@@ -77,7 +77,7 @@ class CalibrationSession:
     name: str
     kind: Kind
     warm: bool = False  # at the temperature at which the device is worn, in place of the room's
-    protocol: Protocol | None = None  # of a rate table
+    protocol: Protocol | None = None  # protocol of a rate table
     by_means: bool = False  # simulated as means of dwells, which is faster
 
     @cached_property

@@ -26,7 +26,7 @@ from undrift.study.sessions import CalibrationSession, bare_model
 from undrift.units import STANDARD_GRAVITY
 
 FILE = Path(__file__).with_name("fits.parquet")
-AGREES = 1e-3  # of the largest value: rounding and another processor differ by less
+AGREES = 1e-3  # tolerance relative to the largest value: rounding on another processor gives less
 
 Fit = dict[str, FloatArray]  # arrays by their names, none if the session could not calibrate the device
 

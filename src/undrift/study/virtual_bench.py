@@ -123,7 +123,7 @@ MATRIX_LIMIT = 3e-3  # half a bit of 12 is 1e-3 of gravity, and there are three 
 WARM_MATRIX_LIMIT = 6e-3  # fewer and shorter turns at each set-point
 GYRO_LIMIT_DPS = 0.25  # hysteresis of this kind is up to 0.1, the rest of the warm-up 0.05, random walk the rest
 ACCEL_LIMIT_MG = 5.0  # three bits of 12
-STATIC_SHARE, FULL_SHARE = 0.5, 0.25  # of the error without tables
+STATIC_SHARE, FULL_SHARE = 0.5, 0.25  # limits relative to the error without tables
 
 
 class Check(NamedTuple):
@@ -135,7 +135,7 @@ class Check(NamedTuple):
 
     @property
     def passed(self) -> bool:
-        """True where the value does not exceed the limit."""
+        """True if the value does not exceed the limit."""
         return bool(self.value <= self.limit)
 
 

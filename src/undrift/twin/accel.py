@@ -35,10 +35,10 @@ from undrift.sim.motion.poses import PoseSettings, PoseSpline, fit_pose_spline, 
 # ---- a recording and the ideal motion of its reference, on one time axis
 
 POSE_CUTOFF_HZ = 30.0
-MAX_CUTOFF_SHARE = 0.4  # of the sample rate of poses or readings
+MAX_CUTOFF_SHARE = 0.4  # highest cut-off, relative to the sample rate of poses or readings
 MIN_STRETCH_S = 1.0  # shorter stretches are not filtered
-EDGE_PERIODS = 1.5  # of the cut-off, left out at each end of a stretch
-SAMPLES_PER_PERIOD = 4.0  # of the cut-off
+EDGE_PERIODS = 1.5  # periods of the cut-off that are left out at each end of a stretch
+SAMPLES_PER_PERIOD = 4.0  # samples for each period of the cut-off
 ORDER = 2
 SIX_DB = (math.sqrt(2.0) - 1.0) ** (0.5 / ORDER)  # cut-off of ``zero_phase`` for an attenuation by 6 dB at 1 Hz
 

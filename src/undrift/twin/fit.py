@@ -24,7 +24,7 @@ from undrift.record import Record, Reference
 from undrift.twin.accel import AccelFit, AccelRows, Match, match, prepare_accel, solve_accel
 from undrift.units import STANDARD_GRAVITY
 
-BLOCK_S = 0.25  # of rest: people and floors move a device more slowly
+BLOCK_S = 0.25  # length of a block at rest, s: people and floors move a device more slowly
 MIN_REST_S = 2.0
 
 

@@ -113,8 +113,8 @@ def mean_interval(values: FloatArray) -> tuple[float, Interval]:
 
 # ---- a difference against a margin
 
-MIN_PEOPLE = 3  # of a verdict
-LEVEL = 0.05  # of all differences that are tested together
+MIN_PEOPLE = 3  # fewest people for a verdict
+LEVEL = 0.05  # significance level of all differences that are tested together
 MIN_PEOPLE_FOR_AGREEMENT = 10  # with fewer, a limit of agreement is less certain than the limits are wide
 Verdict95 = Literal["better", "equivalent", "worse", "not decidable"]
 

@@ -38,7 +38,7 @@ Align = Literal["auto", "level"]
 REST_S = 10.0  # rest before the motion that gives tilt and heading
 LEAD_S = 0.5  # integration starts so long before the motion
 LEAST_SPREAD = 0.02  # smallest second singular value relative to the largest, for rotation about two axes
-MIRRORED_SHARE = 0.2  # third singular value relative to the second, from which a reflection is no effect of noise
+MIRRORED_SHARE = 0.2  # third singular value relative to the second, above which a reflection cannot be noise
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

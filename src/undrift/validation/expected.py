@@ -42,7 +42,7 @@ class ErrorPrior:
 
     matrix: float = 3e-4  # Element of the matrix, relative to the scale: nonlinearity, speed of the motion
     motion_offset: float = MOVED_AGAIN  # offset in motion minus offset at rest, about its mean, rad/s
-    rest_to_motion: float = 0.03 * RADIAN_PER_DEGREE  # the same difference, if the calibration has no fit of it, rad/s
+    rest_to_motion: float = 0.03 * RADIAN_PER_DEGREE  # this difference if the calibration did not fit it, rad/s
     day_to_day: float = 0.01 * RADIAN_PER_DEGREE  # offset at rest, if the rest of the recording is not used, rad/s
     # start from an uncalibrated accelerometer against the reference, each axis, rad
     tilt: float = 0.15 * RADIAN_PER_DEGREE
@@ -69,8 +69,8 @@ class Expected:
 class OffsetSource:
     """Source of the offset of a recording."""
 
-    # "other": offset of the model, from another recording. "own": offset of the recording's own rest plus the model's change
-    # to motion. "subtracted": the mean of the own rest is subtracted after the correction, which also removes the model's
+    # "other": offset of the model, from another recording. "own": offset from a rest in the recording plus the model's change
+    # to motion. "subtracted": the mean of that rest is subtracted after the correction, which also removes the model's
     # offset. "shown": offset determined from the motion.
     rest: Literal["other", "own", "subtracted", "shown"]
     in_motion: bool  # True if the change from rest to motion was fitted
@@ -79,7 +79,7 @@ class OffsetSource:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Strapdown:
-    """A recording with the orientation integrated from it, through the motion."""
+    """A recording and the orientation integrated from it, up to the end of the motion."""
 
     record: Record  # corrected, rad/s and m/s2, from the start of the integration on
     q_nb: FloatArray  # (N, 4), its orientation
@@ -88,12 +88,12 @@ class Strapdown:
     turned: FloatArray  # (3, 3), rotation from the frame of the model to the frame of the integration
     offset_covariance: FloatArray  # (3, 3), of the mean rate at rest, or of the offset that motion shows, (rad/s)^2
     offset_prior: FloatArray  # (3,), of the offset that motion shows, standard deviation before it, rad/s
-    noise_density: float  # of the rate, rad/sqrt(s)
+    noise_density: float  # noise density of the rate, rad/sqrt(s)
     tilt: float  # standard uncertainty of the start, each level axis, rad
     mounting: float  # mounting error between device and body of the reference, about each axis, rad
 
 
-PARAMETERS = (*MATRIX_NAMES, *OFFSET_NAMES, *G_NAMES, *MOVING_NAMES, *CODE_NAMES)  # of a model, in the order of A
+PARAMETERS = (*MATRIX_NAMES, *OFFSET_NAMES, *G_NAMES, *MOVING_NAMES, *CODE_NAMES)  # parameters, in the order of A
 SIZE = len(PARAMETERS)
 
 
@@ -139,7 +139,7 @@ def offset_answer(record: Record, prior: FloatArray, rate_errors: FloatArray) ->
 
 
 def _sensitivity(run: Strapdown, model: TriadModel, source: OffsetSource) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return elapsed times (K,), A (K, 3, P) without noise and pose, and the rate in earth axes (K, 3), through the motion."""
+    """Return times since the start (K,), sensitivities A (K, 3, P) without noise and pose, and rates in earth axes (K, 3)."""
     from undrift.kernels.rotation import accumulate
 
     gyro, time, q = np.ascontiguousarray(run.record.gyro), np.ascontiguousarray(run.record.time), run.q_nb
@@ -177,7 +177,7 @@ def _covariance(run: Strapdown, model: TriadModel, source: OffsetSource, prior: 
     of_mean = 1.0 + 1.0 / source.recordings if source.in_motion else 1.0  # the mean of the fitted recordings errs too
     change = of_mean * (prior.motion_offset if source.in_motion else prior.rest_to_motion) ** 2
     offset = prior.day_to_day**2 * np.eye(3) if source.rest == "other" else run.offset_covariance
-    in_model = np.zeros(SIZE)  # what is added to the model's own variances
+    in_model = np.zeros(SIZE)  # variances that are added to those of the model
     in_model[:9] = of_mean * (prior.matrix * float(np.linalg.norm(model.matrix, 2))) ** 2
     if model.moving_offset is not None:
         in_model[21:24] = change / si_factor(model.unit_out, "rate") ** 2

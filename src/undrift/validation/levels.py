@@ -147,9 +147,9 @@ class LevelTrial:
     task: str = ""
     device: str = ""
     cluster: bool = False  # the reference is a cluster of markers, which is levelled at rest
-    mounting: BodyMounting | None = None  # how the device is worn
+    mounting: BodyMounting | None = None  # orientation of the device on the body segment
     left_out: bool = False  # the calibration was fitted to other recordings, its offset to the rest of this one
-    clocks: Clocks | None = None  # of an earlier comparison
+    clocks: Clocks | None = None  # clocks from an earlier comparison
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

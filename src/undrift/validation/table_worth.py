@@ -24,7 +24,7 @@ from undrift.units import RADIAN_PER_DEGREE, si_factor
 
 LEAN = 45.0 * RADIAN_PER_DEGREE
 MOTION_S = 4.0
-EXCURSION_K = 12.5  # a wearer warms a device by this
+EXCURSION_K = 12.5  # temperature rise of a device when worn, K
 STEP_S = 0.01
 NORMAL_95 = 1.96
 BOTH = "Use the tables, and subtract the offset of a rest (undrift correct --offset rest)"

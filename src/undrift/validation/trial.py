@@ -67,7 +67,7 @@ FILTER_OFFSET = 0.5 * RADIAN_PER_DEGREE  # initial uncertainty of the rate offse
 # A lag up to this is the sensor's own and stays in the errors, as in benchmarks. A longer one comes from clocks or filters and is
 # removed.
 OWN_LAG_S = 0.01
-SCALE_RANGE = (0.5, 2.0)  # of the rates of device and reference: beyond, a unit is wrong
+SCALE_RANGE = (0.5, 2.0)  # ratio of the rates of device and reference: outside this range, a unit is wrong
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

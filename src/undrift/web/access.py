@@ -20,8 +20,8 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 COOKIE = "undrift_token"
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 SAFE = ("GET", "HEAD", "OPTIONS")
-FORM_BYTES = 65_536  # of the names and lines around files that are sent
-HEADERS = {  # of every answer: nothing from elsewhere, in nobody else's frame
+FORM_BYTES = 65_536  # allowance for the names and lines around uploaded files
+HEADERS = {  # headers of every answer: load nothing from other sites, and allow no other site to frame the page
     "Content-Security-Policy": "default-src 'self' data: blob:; script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' "
     "'unsafe-inline'; connect-src 'self' ws://OWN wss://OWN; frame-ancestors 'self'; form-action 'self'",
     "X-Content-Type-Options": "nosniff",
@@ -69,7 +69,7 @@ class Access:
 
 
 def refused(scope: Scope, token: str | None) -> str:
-    """Return why a request is refused, "" where it may pass."""
+    """Return the reason to refuse a request, or "" if it is allowed."""
     headers = Headers(scope=scope)
     host = headers.get("host", "")
     if token is None and _name(host) not in LOOPBACK:

@@ -35,7 +35,7 @@ from undrift.web.items import ARRIVING, CALIBRATION, MAP, Item, items_in, read_o
 
 PLACE, PRACTICE = "place.json", "practice"
 INTERNAL = re.compile(r"\b(?:uploads|jobs)/[^/\s\"]+/(?:session/)?")  # folders that no person needs to read
-WORDS = {  # what the page calls the parameters of commands
+WORDS = {  # words of the page for the parameters of commands
     "column_map": "the columns and units", "sample_rate_hz": "the samples per second", "turn_deg": "the angle of each turn",
     "sensor": "the sensor", "serial": "the serial number", "calibration": "the calibration", "latitude_deg": "the latitude",
     "height_m": "the height", "gravity_m_s2": "the gravity of the place", "calibrate_from": '"Other ways":',
@@ -48,10 +48,10 @@ Value = TypeVar("Value")
 class ServerSettings:
     """Address and folder of the bench."""
 
-    folder: Path  # of everything that it writes
+    folder: Path  # folder of everything that the bench writes
     port: int = 8765  # 0 takes a free one
     token: str | None = None  # required in every request; None for no check on this computer
-    upload_mb: float = 500.0  # of files that are sent together, 1e6 bytes
+    upload_mb: float = 500.0  # largest total size of files sent together, 1e6 bytes
 
 
 class Work(Screen):
@@ -84,7 +84,7 @@ class Bench:
         self.chosen: Item | None = None
         self.step = "Readings"
         self.source: LiveDevice | None = None
-        self.found = list[tuple[str, str]]()  # addresses of devices, and what they are
+        self.found = list[tuple[str, str]]()  # addresses of devices, with a description
         self.guided: Guided | None = None
         self.work: Work | None = None
         self.errors = dict[str, str]()  # by the button that caused them
@@ -264,9 +264,9 @@ class Bench:
         """Read a file with the columns, units or rate that a person entered."""
         unknown = [key for key, unit in item.draft.get("units", {}).items() if unit == "?"]
         if unknown:
-            raise InputError(f"Choose the unit of {' and '.join(unknown)}. The data sheet of the device states it.")
+            raise InputError(f"Choose the unit of {' and '.join(unknown)}. The data sheet of the device gives it.")
         if item.draft.get("sample_rate_hz") == "?":
-            raise InputError("Enter the samples per second. The data sheet or the settings of the device state them.")
+            raise InputError("Enter the samples per second. You find them in its data sheet or settings.")
         if item.draft:
             write_whole(item.folder / MAP, toml_text(item.draft))
         await self._look(item)
@@ -284,7 +284,7 @@ class Bench:
         return path
 
     def link(self, path: Path) -> str:
-        """Return where the browser finds a file of the bench."""
+        """Return the address of a file of the bench in the browser."""
         return "/files/" + quote(path.resolve().relative_to(self.folder.resolve()).as_posix())
 
     @property
@@ -340,7 +340,7 @@ class Bench:
 
     async def _run(self, item: Item, command: Callable[..., Report], *values: Any, **options: Any) -> None:
         """Run a command, and keep its report."""
-        item.save()  # what a person typed
+        item.save()  # keep the entries of the person
 
         def run() -> None:
             self._keep(item, command.__name__, command(*values, **options))

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from undrift.web.bench import Bench
 
 PERIOD_S = 0.2
-MOST_S = 100.0  # of readings that are taken at once
+MOST_S = 100.0  # longest stretch of readings that is taken at once, s
 SAID_AT = (6, 3)  # seconds left that are read out
 NAMES = {"face": {face: f"{face} up" for face in ORDER}, "turn": {way: named(way).capitalize() for way in WAYS}}
 

@@ -49,11 +49,11 @@ class Item:
 
     folder: Path
     path: Path
-    kind: str = ""  # recording, calibration, table, session ...; "" if it was not read yet
+    kind: str = ""  # recording, calibration, table, session ...; "" if it has not been read yet
     summary: str = ""
     serial: str = ""
-    sample_rate_hz: float | None = None  # of a file without time
-    sensor: str | None = None  # of a file with several sensors
+    sample_rate_hz: float | None = None  # sample rate of a file without time
+    sensor: str | None = None  # selected sensor of a file with several sensors
     turn_deg: float | None = None  # angle of the turns of a recording
     draft: dict[str, Any] = field(default_factory=dict)  # map that is proposed, with "?" for what nothing shows
     looked: Looked | None = None  # content, once it was read

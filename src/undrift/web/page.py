@@ -35,7 +35,7 @@ WALKED = "Each face must rest for some seconds. Full turns (360 deg) between res
 OFFSETS = {
     "none": "Nothing",
     "rest": "The mean of the first rest",
-    "motion": "What gravity shows while the device moves, for 20 s or more",
+    "motion": "Estimated from gravity while the device moves, for 20 s or more",
 }
 CHOOSER = """<div class="row items-center q-pa-xs"><q-btn flat no-caps icon="add" label="Choose files" @click="props.pickFiles" />
 <span>or drop them here</span><div aria-hidden="true" class="picker"><q-uploader-add-trigger /></div></div>"""
@@ -303,7 +303,7 @@ def file_part(bench: Bench, item: Item) -> None:
 
 def rate_form(bench: Bench, item: Item) -> None:
     """Ask for the sample rate of a file without time."""
-    ui.label("This file has no time. The data sheet or the settings of the device state its sample rate.")
+    ui.label("This file has no time. You find the sample rate in the data sheet or the settings of the device.")
     number("Samples per second, Hz", item, "sample_rate_hz")
     action(bench, "Read the file at this rate", lambda: bench.read_again(item), main=True)
 
@@ -311,7 +311,7 @@ def rate_form(bench: Bench, item: Item) -> None:
 def map_form(bench: Bench, item: Item) -> None:
     """Ask for the units of a table of foreign names. A person confirms what is proposed."""
     draft, reasons = item.draft, item.looked.reasons if item.looked else {}
-    ui.label("This table does not state its units. Check columns and units against the data sheet of the device.")
+    ui.label("This table does not contain its units. Check columns and units against the data sheet of the device.")
     for key, columns in draft["columns"].items():
         ui.label(f"Columns of {key}: {columns if isinstance(columns, str) else ', '.join(map(str, columns))}")
     if "sample_rate_hz" in draft:

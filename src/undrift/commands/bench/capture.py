@@ -30,7 +30,7 @@ COUNTDOWN_S, SETTLE_S = 6.0, 1.5  # rest that is captured, and rest before that
 TILT_DEG = 12.0  # largest tilt of a face, as the uncalibrated accelerometers read it
 SILENCE_S = 1.0  # host time without a new reading that counts as none
 GAP_S, GAP_PERIODS = 0.1, 5.0  # a longer silence of the device is a gap
-KEEP_S = 120.0  # of readings in which nothing is captured
+KEEP_S = 120.0  # length of the kept readings while nothing is captured, s
 BESIDE_S = 10.0  # kept before the first piece of a recording, and behind the last
 CLOUD_S, CLOUD_POINTS = 0.25, 2000  # means of the accelerometers that show their zero
 ALIKE = 1.6  # lengths of readings that share a zero of 0, within 0.2 g
@@ -47,7 +47,7 @@ class Light:
     """The current state of the device, as shown to the user."""
 
     state: State
-    text: str  # Why, and what to do
+    text: str  # reason and remedy
     face: Face | None = None  # That is up now
     left_s: float | None = None  # Until the capture, while it counts down
 
@@ -97,7 +97,7 @@ class Capture:
         ) = -math.inf  # time of the newest reading, and of the first one after the last gap
         self._readings: list[Record] = []
         self._key: object = None  # connection
-        self._clock_s = 0.0  # what is added to its clock
+        self._clock_s = 0.0  # time that is added to its clock
         self._heard_s = -math.inf  # host time of the newest reading
         self._cloud: deque[FloatArray] = deque(maxlen=CLOUD_POINTS)
         self._rests: deque[FloatArray] = deque(maxlen=64)
@@ -210,8 +210,8 @@ class Capture:
         return rest
 
     def _varies_in_counts(self, accel: FloatArray, mean: FloatArray, sample_rate_hz: float) -> bool:
-        """Return True if readings in counts vary by more than a bench allows, as shares of gravity. `find_still` judges
-        physical readings.
+        """Return True if readings in counts vary too much for a bench, relative to gravity. For physical readings,
+        `find_still` decides.
         """
         zero = None if self._is_physical else self._zero(mean)[0]
         if zero is None:
@@ -254,7 +254,7 @@ class Capture:
             return np.zeros(3), TILT_DEG
         return _fit_zero_sphere(np.array(self._cloud), rests, self._noise), LOOSE_DEG
 
-    # ---- What is captured
+    # ---- captured readings
 
     def add_face(self, face: Face, rest: Rest) -> None:
         """Capture the newest of a rest as a face, in place of the one before."""

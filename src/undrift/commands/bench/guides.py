@@ -30,16 +30,16 @@ from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 ORDER: tuple[Face, ...] = ("+z", "+x", "-z", "-x", "+y", "-y")  # each a quarter turn from the one before
 WAYS = FACES  # + is counter-clockwise, seen with the axis up
 FULL_TURN = 2.0 * math.pi
-NEAR = 0.15  # of a whole turn, relative: an uncalibrated gyroscope reads it within that
+NEAR = 0.15  # relative tolerance of a whole turn: an uncalibrated gyroscope is more accurate
 LIKE = 0.3  # readings of turns in counts differ by less than this, relative
 SAME_POSE = math.cos(15.0 * RADIAN_PER_DEGREE)
-REST_S = 3.0  # before a turn and after it, and of a pose
+REST_S = 3.0  # rest before and after a turn, and in a pose, s
 POSES, NEW_POSE = 15, math.cos(25.0 * RADIAN_PER_DEGREE)
 SHARP = StillSettings(
     window_s=0.25, smooth_s=0.05, min_duration_s=0.25, threshold_floors=8.0
-)  # how near a rest comes to a turn
-LOST_S = 0.5  # of a rest next to a turn, with the usual window
-LONGEST_S = 60.0  # of a turn with its rests
+)  # settings for rests that reach close to a turn
+LOST_S = 0.5  # part of a rest next to a turn that the usual window loses, s
+LONGEST_S = 60.0  # longest turn with its rests, s
 GAP = "Gap in the readings: that turn does not count."
 
 
@@ -201,14 +201,14 @@ class Turns(Guide):
             return GAP
         stills = find_still(record).stills
         if len(stills) < 2:
-            return "That was no turn."
+            return "That was not a turn."
         first, last = _nearest(record, stills[0], stills[-1])
         time = record.time
         if self.capture.lost(float(time[first.stop]), float(time[last.start])):
             return GAP
         turns = find_turns(record, (first, last))
         if not turns.rotations:
-            return "That was no turn."
+            return "That was not a turn."
         turn, reading = turns.rotations[0], turns.rotation_angle[0]
         up, down = self.capture.up(before)[0], self.capture.up(after)[0]
         if up is None or down is None or not float(up @ down) > SAME_POSE:
@@ -271,5 +271,5 @@ def _seen(way: str) -> str:
 
 
 def named(way: str) -> str:
-    """Return what to call a turn."""
+    """Return the name of a turn in instructions."""
     return f"about {way[1]}, {_seen(way)}"

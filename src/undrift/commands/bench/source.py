@@ -98,7 +98,7 @@ class LiveDevice:
         self._stopping.set()
         if self._thread is not None:
             self._thread.join(STOP_S)
-            with suppress(UndriftError):  # what came since its last look
+            with suppress(UndriftError):  # data received since the last look
                 self._take()
         self.recorder.stop()
         return self.stop_writing()

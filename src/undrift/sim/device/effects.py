@@ -38,7 +38,7 @@ from undrift.frames import cross
 Triple = Annotated[FloatArray, Shape(3)]  # a value per channel, (3,)
 Square = Annotated[FloatArray, Shape(3, 3)]
 Powers = Annotated[FloatArray, Shape("k", 3)]  # a row per power of D, from the first
-ZERO: Any = 0.0  # of all three channels
+ZERO: Any = 0.0  # default of all three channels
 
 
 @dataclass(frozen=True, slots=True)
@@ -488,7 +488,7 @@ class Sampling(Effect):
         true = time[0] + (stamped - time[0]) / (1.0 + self.clock_error)
         true = true + self.jitter_s * rng.standard_normal(len(true))
         delays = np.concatenate((self.gyro_delay_s, self.accel_delay_s, [0.0]))
-        margin = 1e-9 * (time[-1] - time[0])  # of rounding
+        margin = 1e-9 * (time[-1] - time[0])  # margin for rounding
         inside = (true + delays.min() >= time[0] - margin) & (true + delays.max() <= time[-1] + margin)
         if inside.sum() < 2 or (np.diff(true[inside]) <= 0.0).any():
             raise InputError(
@@ -610,7 +610,7 @@ class Thermometer(Effect):
         check_even(scene, "thermometer")
         ratio = scene.step_s / self.lag_s
         keep = math.exp(-ratio)
-        mean = -math.expm1(-ratio) / ratio  # of the weight over a step
+        mean = -math.expm1(-ratio) / ratio  # mean of the weight over a step
         b, a = np.array([[1.0 - mean, mean - keep, 0.0]]), np.array([[1.0, -keep, 0.0]])
         column = np.array(temp)[:, None]
         filter_columns(b, a, np.array([[keep * state_c + b[0, 1] * before, 0.0]]), column)

@@ -215,7 +215,7 @@ def random_device(rng: np.random.Generator, *, grade: str | Grade = "consumer", 
     >>> device.gyro.unit
     'count'
     """
-    check_type(rng, np.random.Generator, "random_device: `rng`", "Write numpy.random.default_rng(7).")
+    check_type(rng, np.random.Generator, "random_device: `rng`", "Pass for example numpy.random.default_rng(7).")
     from scipy.special import ndtr, ndtri
 
     chosen = grade_of(grade) if isinstance(grade, str) else grade

@@ -70,7 +70,7 @@ UPS: tuple[Face, ...] = ("+x", "+y", "+z")
 SIT_TO_STAND_RATES = tuple(rate * RADIAN_PER_DEGREE for rate in range(10, 91, 5))  # the note's list, one way round
 
 
-HAND_ANGLE = 2.0 * math.pi  # of a turn by hand, rad
+HAND_ANGLE = 2.0 * math.pi  # angle of a turn by hand, rad
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -114,7 +114,7 @@ def zero_phase(x: FloatArray, cutoff_hz: float, *, sample_rate_hz: float, order:
 
 # ---- Poses to motion
 
-_EVEN = 0.02  # of a step: poses further off their even grid are interpolated before filtering
+_EVEN = 0.02  # part of a step: poses further from their even grid are interpolated before filtering
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,7 +125,7 @@ class PoseSettings:
     cutoff_hz: float | None = 20.0
     # cut-off of the position's low-pass, Hz, which is lower, as noise of the acceleration increases with frequency squared
     position_cutoff_hz: float | None = 10.0
-    order: int = ORDER  # of the Butterworth low-pass in each direction (a higher order is sharper and rings longer)
+    order: int = ORDER  # order of the Butterworth low-pass, per direction (a higher order is sharper and rings longer)
 
 
 class PosePiece(NamedTuple):

@@ -72,7 +72,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 class Task:
     """A motion that can be asked at any instant."""
 
-    name: str  # What is done
+    name: str  # name of the task
     duration_s: float  # Length of a recording of it, s
     moving_s: tuple[float, float]  # First and last instant of motion, s
     roll: Course = ()  # Angles, rad
@@ -105,7 +105,7 @@ class Task:
         )
 
     def position(self, time: FloatArray) -> FloatArray:
-        """Return where the device is: time (N,) s -> (N, 3) m."""
+        """Return the position of the device: time (N,) s -> (N, 3) m."""
         base = np.stack([course_at(course, time)[0] for course in (self.forward, self.left, self.up)], axis=1)
         q = self._orientation(*(course_at(course, time)[0] for course in (self.roll, self.pitch, self.yaw)))
         return base + rotate(q, np.broadcast_to(self.arm_b, (len(time), 3)))
@@ -358,12 +358,12 @@ def _bounded_normal(draw: np.random.Generator) -> float:
             return z
 
 
-# ---- Library of tasks: what subjects do in a test trial, each drawn anew.
+# ---- Library of tasks: motions of subjects in a test trial, each drawn at random.
 
 TaskName = Literal["sit_to_stand", "posturography", "free", "step"]
 DEGREE = RADIAN_PER_DEGREE
 POSTUROGRAPHY_S = 50.0
-MOST_DRAWS = 1000  # of a performance within the bound of its category
+MOST_DRAWS = 1000  # most draws of a performance until it is within the bound of its category
 # peak of the acceleration's spectrum over the sine's frequency, for an envelope that peaks at half a period
 LOUDEST = 1.385
 
