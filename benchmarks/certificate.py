@@ -52,8 +52,10 @@ def drawn(rng: np.random.Generator) -> tuple[Calibration, dict[str, FloatArray]]
     assert truth.gyro is not None
     assert truth.accel is not None
     pieces: list[Still | Turn] = [*motion.turns, *motion.stills]
-    middle = (min(p.start for p in pieces) + max(p.stop for p in pieces)) // 2
-    moved = device.gyro.gain * simulated.gyro.of("random_walk")[middle]
+    during = slice(min(p.start for p in pieces), max(p.stop for p in pieces))
+    moved = device.gyro.gain * simulated.gyro.of("random_walk")[during].mean(
+        axis=0
+    )  # the offset is the session's average
     return calibration, {
         "gyro": np.concatenate((truth.gyro.matrix.ravel(), truth.gyro.offset + moved)),
         "accel": np.concatenate((truth.accel.matrix.ravel(), truth.accel.offset)),

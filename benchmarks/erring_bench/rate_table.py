@@ -61,6 +61,7 @@ CASES = {
     "wobble 0.1 deg": Case(replace(USUAL, wobble=0.1 * DEG)),
     "rate ripples and settles late, 0.3 %": Case(replace(USUAL, ripple=3e-3, excess=3e-3), dwell_s=WHOLE_S),
     "10 bit": Case(USUAL, bits=10),
+    "12 bit, no g-sensitivity": Case(USUAL, bits=12),
     "flicker 8 deg/h": Case(USUAL, flicker=True),
     "mounted 0.1 deg off, faces by 0.2 deg": Case(replace(USUAL, face_tilt=0.2 * DEG)),
     "mounted 0.3 deg off, faces by 0.05 deg": Case(

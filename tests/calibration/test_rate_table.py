@@ -19,7 +19,7 @@ from undrift.record import Record, Turn
 from undrift.sim.device.presets import random_device
 from undrift.sim.motion.bench import BenchSettings
 from undrift.sim.sessions import simulate_session
-from undrift.units import EARTH_RATE
+from undrift.units import EARTH_RATE, STANDARD_GRAVITY
 
 DPS = np.pi / 180.0
 K = np.array([[940.0, 9.0, -5.0], [4.0, 950.0, 12.0], [-6.0, 8.0, 930.0]])  # counts per rad/s
@@ -69,6 +69,23 @@ def test_cross_axis_terms_below_a_step_of_the_codes_are_inside_their_uncertainty
         model = fit_rate_table(replace(made, reading=rounded, step=np.full(3, step), codes=codes, noise=noise)).model
         error = (model.matrix - np.linalg.inv(forward)).ravel() / model.standard_uncertainty[:9]
         z.append(error[across.ravel()])
+    assert np.mean(np.abs(z) < 1.96) > 0.9
+
+
+def test_rests_on_all_faces_share_a_rounding_error_without_g_sensitivity():
+    # the prior of the g-sensitivity would put the faces steps apart, each with an error of its own
+    step, rng = 1.0, np.random.default_rng(2)
+    codes, faces = np.full(3, step**2 / 12.0), STANDARD_GRAVITY * np.vstack((np.eye(3), -np.eye(3)))
+    z = []
+    for _ in range(40):
+        true = B + rng.uniform(-0.5, 0.5, 3)
+        made = dwells(offset=true, noise=np.sqrt(codes[0]))
+        still = np.tile(true, (len(faces), 1))
+        force = np.vstack((STANDARD_GRAVITY * made.axis_b, faces))
+        means = made.with_rests(still, noise=np.full(still.shape, codes[0] ** 0.5), span=np.zeros((6, 2)), force=force)
+        reading = np.round(means.reading / step) * step
+        model = fit_rate_table(replace(means, reading=reading, step=np.full(3, step), codes=codes, span=None)).model
+        z.append((model.offset - true) / model.standard_uncertainty[9:12])
     assert np.mean(np.abs(z) < 1.96) > 0.9
 
 

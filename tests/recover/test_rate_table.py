@@ -73,8 +73,9 @@ def plan() -> Plan:
 
 @pytest.fixture(autouse=True)
 def no_flicker(monkeypatch: pytest.MonkeyPatch) -> None:
-    """State no flicker: the devices here have white noise and walks only."""
+    """State no flicker and no steady drift: the devices here have white noise and walks only."""
     monkeypatch.setattr(sources, "GYRO_FLICKER", 0.0)
+    monkeypatch.setattr(sources, "REST_DRIFT", 0.0)
 
 
 def spans(p: Plan) -> Array:

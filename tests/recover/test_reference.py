@@ -72,7 +72,7 @@ def test_long_windows_cost_less_than_half_more_error(devices: int) -> None:
     for _ in range(devices):
         device = white_device(rng)
         model = fitted(device, rng, OPTICS)
-        errors, least = error_of(model, device)[:9], bound(device, information)[:9, :9]  # rests show the offset too
+        errors, least = error_of(model, device)[:9], bound(device, information)[:9]  # rests show the offset too
         tally.add(errors, least, model.standard_uncertainty[:9])
     # Real optics wander with the pose, and there the long windows win: that is why they are the default.
     show("reference, windows: RMSE over Cramer-Rao bound", f"{tally.ratio:.3f}", 1.5)

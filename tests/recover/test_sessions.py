@@ -34,6 +34,7 @@ CASES = [
     (six_face, "all together"),
     (rate_table, "rate ripples and settles late, 0.3 %"),
     (rate_table, "mounted 0.3 deg off, faces by 0.2 deg"),
+    (rate_table, "12 bit, no g-sensitivity"),
     (rate_table, "all sources at their stated sizes"),
     (known_rotation, "creep 1 degC, flicker 8 deg/h"),
     (known_rotation, "all together"),

@@ -46,7 +46,7 @@ from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
 MIN_NOISE = 1e-9  # relative to the largest reading, the arithmetic error of the filter
 WHOLE_TURN = 0.9 * 2.0 * np.pi  # rad, minus the last sample
-SPREAD = 3.0  # of the distance of two inputs by rounding in the matrix, relative to that of independent rounding errors
+SPREAD = 2.0  # of the distance of two inputs by rounding in the plain fit, relative to that of independent rounding errors
 
 # ---- fit of dwells and rests
 
@@ -171,18 +171,25 @@ def _sources(dwells: DwellMeans, rates: FloatArray, matrix: FloatArray) -> dict[
 def _shared_rounding(dwells: DwellMeans, rates: FloatArray, matrix: FloatArray, codes: FloatArray) -> FloatArray:
     """Return the correlation (N, N, 3) of the rounding errors of two rows, for their variance ``codes`` (N, 3).
 
-    Equal inputs have equal errors. Rates give the distance of two inputs, but for the g-sensitivity and for rounding in the
-    matrix. Equal readings are no equal inputs, because a cross-axis term may be less than a step.
+    Equal inputs have equal errors. A plain fit of the readings gives the distance of two inputs, with its uncertainty. Equal
+    readings are no equal inputs, because a cross-axis term may be less than a step.
     """
-    step = np.where(dwells.codes > 0.0, dwells.step, 1.0)
-    inputs = rates @ np.linalg.inv(matrix).T / step
-    leverage = (rates[:, None] - rates) / np.linalg.norm(rates, axis=0).clip(1e-9)
-    spread = SPREAD * np.linalg.norm(leverage, axis=2)[:, :, None] * np.sqrt(codes) / step
-    if dwells.force is not None:
-        felt = G_SENSITIVITY * np.linalg.norm(dwells.force[:, None] - dwells.force, axis=2)
-        spread = np.hypot(spread, felt[:, :, None] / np.abs(np.diag(matrix)) / step)
+    count, step = len(rates), np.where(dwells.codes > 0.0, dwells.step, 1.0)
+    force = np.zeros((count, 0)) if dwells.force is None else dwells.force
+    known = np.column_stack((np.ones(count), rates, force))
+    distance, spread = np.empty((2, count, count, 3))
+    for k in range(3):
+        noise = np.maximum(codes[:, k], 1e-300)
+        prior = np.zeros(known.shape[1])
+        prior[4:] = (matrix[k, k] / G_SENSITIVITY) ** 2  # of the g-sensitivity of the readings
+        covariance = np.linalg.pinv(known.T @ (known / noise[:, None]) + np.diag(prior), hermitian=True)
+        inputs = known @ (covariance @ (known.T @ (dwells.reading[:, k] / noise)))
+        shared = known @ covariance @ known.T
+        variance = np.diag(shared)
+        distance[:, :, k] = (inputs[:, None] - inputs) / step[k]
+        spread[:, :, k] = SPREAD * np.sqrt((variance[:, None] + variance - 2.0 * shared).clip(0.0)) / step[k]
     share = np.sqrt(codes[:, None] * codes) / step**2
-    return rounding_correlation(inputs[:, None] - inputs, spread, share)
+    return rounding_correlation(distance, spread, share)
 
 
 def _excess(dwells: DwellMeans) -> dict[str, FloatArray]:
