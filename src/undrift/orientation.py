@@ -498,7 +498,7 @@ def filtered(
 ) -> tuple[FloatArray, tuple[Finding, ...]]:
     """Return the orientation (N, 4) by VQF over the whole record, offline, with findings about the field.
 
-    The heading is relative to its start, or with a magnetometer to magnetic east, the x axis of n.
+    The heading is relative to its start. With a magnetometer, it is relative to magnetic east, the x axis of n.
     """
     if record.accel is None or np.isnan(record.accel).any():
         got = "none" if record.accel is None else f"{int(np.isnan(record.accel).any(axis=1).sum())} gaps"

@@ -73,7 +73,7 @@ def read_rate_log(path: str | Path) -> RateLog:
     time, value = time[valid], value[valid]
     if len(time) < MIN_ROWS or not (np.diff(time) > 0.0).all():
         got = f"{len(time)} rows" if len(time) < MIN_ROWS else "time that repeats or goes back"
-        raise FileFormatError(f"{path}: expected {MIN_ROWS} rows or more with increasing time, got {got}. Repair the log.")
+        raise FileFormatError(f"{path}: expected {MIN_ROWS} rows or more with increasing time, got {got}. Repair it.")
     steps = np.diff(np.unique(value))
     steps = steps[steps > ROUNDING * np.abs(value).max()]
     if kind in RATES:

@@ -315,8 +315,8 @@ def check_time(time: FloatArray) -> None:
     if (steps <= 0.0).any():
         row = int(np.flatnonzero(steps <= 0.0)[0]) + 1
         raise InputError(
-            f"time: expected strictly increasing seconds, got {int((steps <= 0).sum())} steps back or doubled, first in row {row} "
-            f"({time[row - 1]:.6g} s then {time[row]:.6g} s). Repair the time if you may drop those rows.",
+            f"time: expected strictly increasing seconds, got {int((steps <= 0).sum())} steps that go back or repeat, first in "
+            f"row {row} ({time[row - 1]:.6g} s then {time[row]:.6g} s). Repair the time if you may drop those rows.",
             row=row,
         )
 

@@ -146,7 +146,7 @@ def test_equal_stamps_of_a_coarse_host_clock_stay_and_backward_ones_are_refused_
         np.savetxt(tmp_path / "t.csv", rows, delimiter=",", header="t,x,y,z", comments="")
         return read_counted(tmp_path / "t.csv", column_map(**keys, **more))  # type: ignore[arg-type]
 
-    with pytest.raises(InputError, match="or clock = 'regular' if a host"):
+    with pytest.raises(InputError, match="or clock = 'regular' for host"):
         read()
     found = read(clock="regular")
     assert len(found.record) == len(rows)  # type: ignore[attr-defined]

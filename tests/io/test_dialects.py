@@ -103,9 +103,7 @@ def test_a_dot_recording_with_sensors_has_metres_and_degrees_and_its_clock_overf
 def test_a_counter_that_goes_back_is_no_overflow(tmp_path):
     rows = "".join(f"{k},{16667 * (k if k != 2 else 0)},0,0,9.81,0,90,0\n" for k in range(5))
     (tmp_path / "dot.csv").write_text(f"{DOT}PacketCounter,SampleTimeFine,Acc_X,Acc_Y,Acc_Z,Gyr_X,Gyr_Y,Gyr_Z\n{rows}")
-    with pytest.raises(
-        FileFormatError, match="expected a counter that increases, got 16667 and then 0 in data row 3"
-    ):
+    with pytest.raises(FileFormatError, match="expected a counter that increases, got 16667 and then 0 in data row 3"):
         read_record(tmp_path / "dot.csv")
 
 

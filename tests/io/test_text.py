@@ -172,7 +172,7 @@ def test_time_that_goes_back_is_repaired_on_request_and_counted(tmp_path):
     lines[7] = "0.000" + lines[7][5:]
     lines[20] = lines[19]
     path = put(tmp_path, table(lines))
-    with pytest.raises(InputError, match=r"2 steps back or doubled, first in data row 8 \(backward: 0.06 s") as caught:
+    with pytest.raises(InputError, match=r"2 steps that go back or repeat, first in data row 8 \(back") as caught:
         read_text(path, XYZ)
     one_line(caught)
     repaired = column_map(time="t", time_unit="s", accel=("x", "y", "z"), accel_unit="g", repair_time=True)

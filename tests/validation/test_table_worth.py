@@ -59,4 +59,4 @@ def test_tables_that_add_nothing_are_called_so():
     flat = calibration()
     none = replace(flat.drift.static, gyro_offset=np.zeros((5, 3)))
     found = expected_errors(replace(flat, drift=replace(flat.drift, static=none)), rest_variance=np.zeros(3))
-    assert found.answer.startswith("These tables do not improve on the constant calibration")
+    assert found.answer.startswith("At this temperature, these tables are no better")

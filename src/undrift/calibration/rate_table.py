@@ -46,7 +46,7 @@ from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
 MIN_NOISE = 1e-9  # relative to the largest reading, the arithmetic error of the filter
 WHOLE_TURN = 0.9 * 2.0 * np.pi  # rad, minus the last sample
-SPREAD = 2.0  # of the distance of two inputs by rounding in the plain fit, relative to that of independent rounding errors
+SPREAD = 2.0  # spread of the distance of two inputs from rounding in the plain fit, in independent rounding errors
 
 # ---- fit of dwells and rests
 
@@ -172,7 +172,7 @@ def _shared_rounding(dwells: DwellMeans, rates: FloatArray, matrix: FloatArray, 
     """Return the correlation (N, N, 3) of the rounding errors of two rows, for their variance ``codes`` (N, 3).
 
     Equal inputs have equal errors. A plain fit of the readings gives the distance of two inputs, with its uncertainty. Equal
-    readings are no equal inputs, because a cross-axis term may be less than a step.
+    readings can have different inputs, because a cross-axis term may be smaller than a step.
     """
     count, step = len(rates), np.where(dwells.codes > 0.0, dwells.step, 1.0)
     force = np.zeros((count, 0)) if dwells.force is None else dwells.force

@@ -48,7 +48,7 @@ from undrift.validation.trial import Trial
 SEED = 2007
 RUNS = ("bench", "thermal")  # folders of an earlier demo
 FILES = ("trial.parquet", "reference.parquet", "calibration.json", "corrected.parquet", "report.html")
-RECORDED, FITTED = 0.75, 0.9  # shares of the time when all is recorded, and when all is fitted
+RECORDED, FITTED = 0.75, 0.9  # progress of the demo after recording, and after fitting
 BENCH = (
     "Device: three ENC-03J-like gyroscopes and three 3031-like accelerometers, 12 bits, an LM335-like thermometer: the "
     "note's, whose offset drifts by 0.1 deg/s per kelvin. Table: the note's servo, with its control loop, encoder and "

@@ -119,7 +119,7 @@ class NamedRest:
         (start_s, stop_s), first, last = self.ends_s, float(record.time[0]), float(record.time[-1])
         if not first <= start_s < stop_s <= last:
             raise InputError(
-                f"`rest_s`: expected START:STOP within the recording's {first:.6g} to {last:.6g} s, got {start_s:g} and "
+                f"`rest_s`: expected START:STOP within the recording ({first:.6g} to {last:.6g} s), got {start_s:g} and "
                 f"{stop_s:g}. Give the start and the end of a rest."
             )
         start, stop = record.time.searchsorted((start_s, stop_s))

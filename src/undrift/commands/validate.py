@@ -57,8 +57,8 @@ def validate(
         "rest" subtracts the mean rate of the first still phase. "motion" starts from that rest, if there is one, and estimates
         the offset from gravity while the device moves. "none" subtracts nothing.
     forward : str or None
-        Body axis that points forward on the upright segment: with --up it defines the pitch. Without both they are +x and +z, and
-        the readings are turned by the calibration's mounting, if there is one.
+        Body axis that points forward on the upright segment. With --up it defines the pitch. Without both, the axes are +x and +z,
+        and if the calibration has a mounting, the readings are rotated with it.
     up : str or None
         Body axis that points up on the upright segment.
     max_lag_s : float

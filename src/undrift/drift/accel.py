@@ -23,7 +23,7 @@ from undrift.model import TriadModel
 from undrift.units import si_factor
 
 _SCALES, _OFFSETS = np.array([0, 3, 5]), np.array([6, 7, 8])  # diagonal of P, and d, among the parameters of a norm fit
-_POSES = 6  # fewest at a temperature
+_POSES = 6  # fewest poses at a temperature
 _SQUARE = 1e-6  # prior deviation of cross-axis terms, which are not fitted
 _SAME_TEMPERATURE_C = 1.5
 _COVERED = 0.8  # share of the span of all poses that the fitted temperatures must cover [assumed]

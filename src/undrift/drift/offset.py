@@ -117,7 +117,7 @@ class TriadDrift:
     cells: Cells
     offsets: Offsets
     turn_on: TurnOn | None  # None if sessions share no temperature
-    gravity: FloatArray  # (3,), reading in addition to the offset, for accelerometers in a single pose
+    gravity: FloatArray  # (3,), reading due to gravity, for accelerometers in a single pose (otherwise 0)
     hysteresis: FloatArray | None = None  # (3,), half-width, or None if the temperature only rose or only fell
     hysteresis_uncertainty: FloatArray | None = None  # (3,)
     warm_up: WarmUp | None = None

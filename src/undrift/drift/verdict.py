@@ -126,7 +126,7 @@ def check_offsets(static: StaticFit, device: Calibration, gravity_rate: FloatArr
         "drift.offset_differs",
         "fail" if is_large else "warn",
         f"The offset at {nodes[node]:.1f} degC differs from the calibration by {sizes} deg/s on x, y, z (+- {sigmas}), "
-        f"beyond the {TURN_ON_DPS:g} deg/s of a switch-on{cause}.",
+        f"more than the {TURN_ON_DPS:g} deg/s that a switch-on can cause{cause}.",
         "Check which device was recorded, or calibrate again.",
         offset_dps=deviation,
     )

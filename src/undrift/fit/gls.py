@@ -322,7 +322,7 @@ def _excess_variances(rows: _GlsRows, first: FloatArray | None) -> tuple[FloatAr
 def _climb(
     rows: _GlsRows, variances: FloatArray, state: _State, free: IntArray, steps: int
 ) -> tuple[FloatArray, _State]:
-    """Improve the variances of the free shapes with at most ``steps`` steps of Fisher scoring. Return them and their solution."""
+    """Improve the variances of the free shapes with at most ``steps`` steps of Fisher scoring. Return variances and solution."""
     for _ in range(steps if len(free) else 0):
         products = [_times(state.projector, rows.shapes[k]) for k in free]
         square = [_times(state.weighted, rows.shapes[k]) @ state.weighted for k in free]

@@ -156,7 +156,7 @@ class ColumnMap(TextLayout):
         return canonical_unit(self.units.get(channel, ""), QUANTITY[channel])
 
     def scale_of(self, channel: str) -> ChannelScale:
-        """Return the conversion of a channel, gain 1 and offset 0 if the map states none."""
+        """Return the conversion of a channel, gain 1 and offset 0 if the map has none."""
         return next((scale for name, scale in self.scale.items() if name == channel), ChannelScale())
 
     def mapped(self) -> tuple[Channel, ...]:

@@ -338,11 +338,11 @@ def _forward(table: RawTable, time: FloatArray, how: ColumnMap) -> BoolArray | N
             f"{table.source}: time column {column!r}: expected time that mostly increases, got {int((~keep).sum())} of "
             f"{len(time)} rows to drop. Check that this is the time column."
         )
-    kind = "doubled" if steps[row - 1] == 0.0 else "backward"
+    kind = "repeated" if steps[row - 1] == 0.0 else "backward"
     raise InputError(
-        f"{table.source}: time column {column!r}: expected strictly increasing time, got {int((steps <= 0).sum())} steps back "
-        f"or doubled, first in data row {table.row(row)} ({kind}: {time[row - 1]:.9g} s then {time[row]:.9g} s). Set repair_time = "
-        "true in a map (`column_map` FILE) or its [[recording]] to drop them, or clock = 'regular' if a host stamped them.",
+        f"{table.source}: time column {column!r}: expected strictly increasing time, got {int((steps <= 0).sum())} steps that "
+        f"go back or repeat, first in data row {table.row(row)} ({kind}: {time[row - 1]:.9g} s then {time[row]:.9g} s). Set "
+        "repair_time = true in a map (`column_map` FILE) or its [[recording]] to drop them, or clock = 'regular' for host stamps.",
         row=table.row(row),
     )
 
@@ -476,11 +476,11 @@ def read_marks(held: Mapping[str, Any], error: str) -> dict[str, Any]:
     rate, force = held.get("offset_uncertainty"), held.get("accel_uncertainty")
     sound = marks["frame"] in get_args(Frame) and marks["state"] in get_args(State) and isinstance(marks["device"], str)
     if not sound or not (rate is None or (isinstance(rate, float) and 0.0 <= rate < math.inf)):
-        raise FileFormatError(f"{error}; write the file anew")
+        raise FileFormatError(f"{error}; write the file again")
     try:
         uncertainty = ForceUncertainty(**force) if force else None
     except (TypeError, InputError) as cause:
-        raise FileFormatError(f"{error}; write the file anew") from cause
+        raise FileFormatError(f"{error}; write the file again") from cause
     return marks | {"accel_uncertainty": uncertainty, "offset_uncertainty": rate}
 
 

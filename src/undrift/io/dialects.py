@@ -53,7 +53,7 @@ class MapCounter(MapTable):
 
 
 class MapThermometer(MapTable):
-    """The temperature, degC, in a file of its own."""
+    """A separate file with the temperature, degC."""
 
     file: str  # name of the file, with "*" for the part that differs between recordings
     time: str  # Column of time, of the same name in the recording

@@ -337,7 +337,7 @@ def settled(result: ReadResult, how: ColumnMap) -> ReadResult:
 
 
 def _with_thermometer(record: Record, thermometer: TempFile) -> Record:
-    """Return the record with the temperature of a thermometer's own file."""
+    """Return the record with the temperature from the separate file of a thermometer."""
     dated = canonical_unit(thermometer.time_unit, "time") == "date"
     wanted = (thermometer.temp,) if dated else (thermometer.time, thermometer.temp)
     table = parse_text(open_text(thermometer.file, thermometer), wanted)

@@ -150,7 +150,7 @@ def _open(path: str | Path, *, stream: bool = False) -> Any:
         return pq.ParquetFile(path, pre_buffer=not stream, buffer_size=buffer, page_checksum_verification=True)
     except (pa.ArrowInvalid, OSError) as error:
         raise FileFormatError(
-            f"{path}: expected a Parquet file, got another or a truncated file. {first_line(error)}."
+            f"{path}: expected a Parquet file, got another format or a truncated file. {first_line(error)}."
         ) from error
 
 

@@ -84,7 +84,7 @@ class RecordingEntry(ColumnMap):
 
 
 class PieceEntry(FileTable):
-    """What [[still]] and [[turn]] share."""
+    """Common keys of [[still]] and [[turn]]."""
 
     recording: int = 0  # number of the [[recording]], from 0
     start_s: float  # on the recording's own clock

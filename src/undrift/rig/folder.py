@@ -1,4 +1,4 @@
-"""Run folder: the files of a run, which are a readable session at any time.
+"""Run folder: the files of a run, which form a readable session at any time.
 
     protocol.toml     protocol of the run
     pieces/           0007.parquet: the readings of step 7

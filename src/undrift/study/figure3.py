@@ -7,7 +7,7 @@ Each of the two is calibrated and judged by the product's own functions::
     trial, 10 to 15 K warmer           -> correct, orient, compare with the optics, lag removed (validate_trial)
 
 The levels of correction are those of ``validation.levels`` except the first and the last: constants, static table, all tables, the
-offset of the rest before the motion (no chamber), and both together. The last one is recommended. Errors are those over the 4 s of
+offset of the rest before the motion (no chamber), and both together. The last level is recommended. Errors are over the 4 s of
 the acquisition, from the start of the integration. The note's 3.2 deg are 0.8 deg/s over this time. The board warms from
 25 degC while it is worn, with a time constant of 10 min, and has been worn for half an hour. The correlation coefficient is between
 the two errors over the acquisition.

@@ -46,7 +46,7 @@ class Mounting:
     """Mounting of the device on the body of the reference."""
 
     rotation: FloatArray  # (3, 3), turns vectors from the case b to the body m
-    applied: bool  # True if the readings were rotated with it
+    applied: bool  # True if the readings were rotated with ``rotation``
 
     @property
     def angle(self) -> float:

@@ -56,7 +56,7 @@ class TableWorth:
     def answer(self) -> str:
         """What to do."""
         if self.constant_deg <= self.tables_deg:
-            return "These tables do not improve on the constant calibration here: record more"
+            return "At this temperature, these tables are no better than the constant calibration: record more"
         if not self.turned:
             return f"{BOTH}. Scale and dynamic drift, which a rest cannot remove, were not measured"
         if self.both_deg > ADDS_LITTLE * self.rest_deg:

@@ -488,7 +488,7 @@ def _track(
 def _turn_to(
     reference: Reference, q: FloatArray | None, start_s: float, stop_s: float, *, heading_only: bool = False
 ) -> FloatArray:
-    """Return the rotation in earth axes that turns orientations (N, 4) to the reference, mean over a stretch of its clock."""
+    """Return the mean rotation in earth axes from orientations (N, 4) to the reference, over a stretch of its clock."""
     turns = reference.q_nb if q is None else quaternion_product(reference.q_nb, quaternion_conjugate(q))
     turns = turns[np.isfinite(turns).all(axis=1) & (reference.time >= start_s) & (reference.time < stop_s)]
     if not len(turns):

@@ -18,7 +18,7 @@ from undrift.web.guided import guide_part, progress_part
 from undrift.web.items import MAP, Item
 
 REFRESH_S = 0.25
-ITEMS = 20  # that are listed first
+ITEMS = 20  # number of items that are listed first
 ADDRESSES = {
     "serial:///dev/ttyUSB0": "a board that prints lines with names on a serial port",
     "udp://:5555": "a device or phone that sends lines over the network",
@@ -335,7 +335,7 @@ def map_form(bench: Bench, item: Item) -> None:
 
 
 def calibrate_step(bench: Bench) -> None:
-    """Add what calibrates the device from the chosen recording, and the result."""
+    """Add the controls that calibrate the device from the chosen recording, and the result."""
     item = bench.chosen
     if item is None or item.kind not in ("recording", "session"):
         nothing(bench)

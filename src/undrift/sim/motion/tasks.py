@@ -32,7 +32,7 @@ drawn again until it is within its bounds::
 
     x = mean + sd (0.8 h + 0.6 z)       h the subject's habit for this quantity, z new each time, 0.8^2 + 0.6^2 = 1
 
-A category has the mean, standard deviation, minimum and maximum of each quantity, and a subject has the same habits in every
+A category contains the mean, standard deviation, minimum and maximum of each quantity. A subject has the same habits h in every
 category. The defaults of ``Category`` are the numbers of level_2, the note's thirty subjects. They are assumed, except for three
 bounds of the note's Table 1. Other categories use them for missing quantities. docs/motions.md lists numbers and publications.
 """
