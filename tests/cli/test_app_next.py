@@ -39,7 +39,7 @@ CALLS = (  # the command, and how many commands follow from it at least
     ("info bench/session", 2),
     ("calibrate bench/session -o b.json", 1),
     ("correct bench/trial.parquet --calibration bench/calibration.json -o corrected.parquet", 1),
-    ("orient bench/corrected.parquet -o o.csv", 1),
+    ("orient bench/corrected.parquet -o o.csv", 0),
     ("noise bench/corrected.parquet --rest-s 0:3", 0),
     (f"drift {WARM_UP} --map warm.toml -o d.json", 1),
     (f"drift {WARM_UP} --map warm.toml --warm-up -o d.json", 1),
