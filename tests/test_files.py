@@ -104,12 +104,19 @@ def test_missing_folder_and_empty_are_one_line_each(tmp_path):
         read_bytes(tmp_path / "empty")
 
 
-def test_damage_inside_a_gzip_is_told_from_a_cut(tmp_path):
-    packed = bytearray(gzip.compress(bytes(range(256)) * 40))
-    (tmp_path / "cut.gz").write_bytes(packed[:-9])
-    with pytest.raises(FileFormatError, match="truncated"):
-        read_bytes(tmp_path / "cut.gz")
-    packed[-6] ^= 0xFF
-    (tmp_path / "bad.gz").write_bytes(packed)
-    with pytest.raises(FileFormatError, match="is damaged"):
-        read_bytes(tmp_path / "bad.gz")
+PACKED = gzip.compress(bytes(range(256)) * 40)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (PACKED[:-9], "truncated"),
+        (PACKED[:-6] + b"\x00" + PACKED[-5:], "is damaged"),  # its checksum
+        (PACKED[:20] + bytes(100) + PACKED[120:], "is damaged"),
+        (gzip.compress(b""), "an empty file inside the gzip"),
+    ],
+)
+def test_damage_inside_a_gzip_is_told_from_a_cut(tmp_path, content, words):
+    (tmp_path / "a.gz").write_bytes(content)
+    with pytest.raises(FileFormatError, match=words):
+        read_bytes(tmp_path / "a.gz")
