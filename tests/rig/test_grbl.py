@@ -73,19 +73,18 @@ def test_an_alarm_that_is_not_ours_stays_for_a_person():
         assert "$X" not in bench.server.heard
 
 
-@pytest.mark.parametrize("line", ["<Flying|MPos:0.000>", "<Idle|MPos:0>"])
-def test_what_is_no_status_is_refused(bench, line):
+@pytest.mark.parametrize(
+    ("line", "text"),
+    [
+        ("<Flying|MPos:0.000>", "expected a status line"),
+        ("<Idle|MPos:0>", "expected a status line"),
+        ("<Idle|WPos:1.000|FS:0,0>", "reports work positions"),
+        ("<Idle|MPos:1.000,2.000|FS:0,0>", "axis A among the 2 positions"),
+    ],
+)
+def test_a_status_without_a_place_is_refused(bench, line, text):
     bench.controller.spoilt["?"] = [f"{line}\r\n".encode()]
-    with pytest.raises(LinkError, match="expected a status line"):
-        bench.rig.position()
-
-
-def test_a_status_of_work_positions_is_no_place(bench):
-    bench.controller.spoilt["?"] = [b"<Idle|WPos:1.000|FS:0,0>\r\n"]
-    with pytest.raises(LinkError, match=r"reports work positions"):
-        bench.rig.position()
-    bench.controller.spoilt["?"] = [b"<Idle|MPos:1.000,2.000|FS:0,0>\r\n"]
-    with pytest.raises(LinkError, match="axis A among the 2 positions"):
+    with pytest.raises(LinkError, match=text):
         bench.rig.position()
 
 
