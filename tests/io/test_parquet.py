@@ -21,10 +21,6 @@ def ramp(n, **more):
     return Record(time=np.arange(n) / 100, gyro=np.arange(3.0 * n).reshape(n, 3), **more)
 
 
-def joined(chunks):
-    return Record(time=np.concatenate([c.time for c in chunks]), gyro=np.concatenate([c.gyro for c in chunks]))
-
-
 @pytest.mark.slow
 @few
 @given(n=st.integers(2, 60), rows=st.integers(2, 25), group=st.integers(1, 30))

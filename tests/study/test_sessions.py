@@ -15,8 +15,6 @@ from undrift.study.methods import calibrate_rival
 from undrift.study.plan import DEVICE, NOTE_BENCH, note_study
 from undrift.study.sessions import ROOM_TEMP_C, SESSIONS, WARM_C, calibrate_by, calibrate_by_means, free_motion
 
-DPS = np.pi / 180.0
-
 
 def unit(number):
     return with_cutoff(random_device(np.random.default_rng(number), grade=DEVICE), None)

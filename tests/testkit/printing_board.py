@@ -11,8 +11,6 @@ import numpy as np
 
 from testkit.pseudo_terminal import open_pseudo_terminal
 
-GYRO_LSB_PER_DPS, ACCEL_LSB_PER_G = 131.0, 16384.0  # of an MPU-6050 at +-250 deg/s and +-2 g
-
 
 def sketch_line(k: int, time_us: int, gyro: np.ndarray, accel: np.ndarray, temp_c: float) -> bytes:
     """Return a line of the shape that needs no map."""
