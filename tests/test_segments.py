@@ -1,27 +1,16 @@
 """Still phases, plateaus, rotations and faces: on simulated records and on every kind of real one."""
 
-import gzip
-
 import numpy as np
 import pytest
 
 from testkit.data import data_path, show
 from testkit.faces import faces_at
+from testkit.recordings import nilspod
 from undrift.errors import InputError
 from undrift.record import Record
 from undrift.segments import StillSettings, find_still, find_turns, sliding_moments, unpadded
 
 FS = 100.0
-
-
-def table(path, skip=0, delimiter=","):
-    with gzip.open(path, "rt") as file:
-        return np.genfromtxt(file, delimiter=delimiter, skip_header=skip)
-
-
-def nilspod():
-    d = np.loadtxt(data_path("ferraris_nilspod", "example_ferraris_session.csv"), delimiter=",", skiprows=1)
-    return Record(time=np.arange(len(d)) / 102.4, gyro=d[:, 1:4], accel=d[:, 4:7], gyro_unit="dps")
 
 
 def jig(name):
@@ -30,7 +19,7 @@ def jig(name):
 
 
 def worn(**change):
-    d = table(data_path("worn_lowback", "HA_001_Test11.csv.gz"), skip=1)
+    d = np.genfromtxt(data_path("worn_lowback", "HA_001_Test11.csv.gz"), delimiter=",", skip_header=1)
     values = {"gyro": d[:, 4:7], "accel": d[:, 1:4], "gyro_unit": "dps", "accel_unit": "g", **change}
     return Record(time=np.arange(len(d)) / 100.0, **values)
 
@@ -76,7 +65,7 @@ def test_held_poses_are_found():
 
 
 def test_rests_of_a_log_with_two_decimals_are_found():
-    readings = table(data_path("multipos_mpu9150", "imu2.log.gz"), delimiter=None)  # accel m/s2, gyro rad/s
+    readings = np.loadtxt(data_path("multipos_mpu9150", "imu2.log.gz"))  # accel m/s2, gyro rad/s
 
     def count(decimals):
         rounded = np.round(readings, decimals)

@@ -3,33 +3,21 @@
 import numpy as np
 import pytest
 
-from testkit.data import data_path, show
+from testkit.data import show
 from testkit.faces import still_means
+from testkit.recordings import bicycle
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.session import observe
 from undrift.calibration.settings import CalibrateSettings
-from undrift.record import Record, Session
+from undrift.record import Session
 from undrift.units import STANDARD_GRAVITY
-
-NAMES = (
-    "phi_000_theta_000", "phi_000_theta_090", "phi_000_theta_180", "phi_000_theta_270", "phi_090_theta_000",
-    "phi_270_theta_000", "reference", "rsidedown", "rsideup", "sahfd01", "sahfu01",
-)  # fmt: skip
-
-
-def session():
-    records = []
-    for name in NAMES:
-        d = np.load(data_path("multipos_mpu6050_bicycle", f"{name}.npz"))
-        records.append(
-            Record(time=d["t_s"], gyro=d["gyro_rad_s"], accel=d["acc_raw"], accel_unit="count", temp_c=d["temp_degC"])
-        )
-    return Session(kind="calibration", serial="bicycle", gravity_m_s2=STANDARD_GRAVITY, records=tuple(records))
 
 
 @pytest.mark.slow
 def test_eleven_recordings_of_one_pose_each_are_one_session():
-    bicycle_session = session()
+    bicycle_session = Session(
+        kind="calibration", serial="bicycle", gravity_m_s2=STANDARD_GRAVITY, records=tuple(bicycle())
+    )
     calibration = calibrate(bicycle_session)
     stills = observe(bicycle_session, CalibrateSettings()).stills
     assert [s.recording for s in stills] == list(range(11))

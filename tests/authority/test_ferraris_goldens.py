@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from testkit.data import data_path, show
+from testkit.recordings import nilspod
 from undrift.calibration.known_rotation import fit_known_rotation, rotation_rows
 from undrift.calibration.plausibility import face_vectors
 from undrift.calibration.six_face import FaceMeans, fit_six_face, solve_faces
@@ -66,10 +67,8 @@ ANNOTATED = {
 
 
 def example():
-    d = np.loadtxt(data_path("ferraris_nilspod", "example_ferraris_session.csv"), delimiter=",", skiprows=1)
-    record = Record(time=np.arange(len(d)) / 102.4, gyro=d[:, 1:4], accel=d[:, 4:7], gyro_unit="dps")
     ranges = json.loads(data_path("ferraris_nilspod", "example_ferraris_session_list.json").read_text())
-    return record, {name: (part["start"], part["end"]) for name, part in ranges.items()}
+    return nilspod(), {name: (part["start"], part["end"]) for name, part in ranges.items()}
 
 
 def annotated():

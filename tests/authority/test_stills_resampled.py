@@ -6,42 +6,29 @@ over each step, or one in each step is picked, which keeps the noise of a sample
 twentieth of the seconds, and white noise is added that makes it ten times as large.
 """
 
-import gzip
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from testkit.data import data_path, show
 from testkit.faces import still_means
+from testkit.recordings import bicycle, mpu9150
 from undrift.record import Record
 from undrift.segments import find_poses, sphere_of
 
-BICYCLE = (
-    "phi_000_theta_000", "phi_000_theta_090", "phi_000_theta_180", "phi_000_theta_270", "phi_090_theta_000",
-    "phi_270_theta_000", "reference", "rsidedown", "rsideup", "sahfd01", "sahfu01",
-)  # fmt: skip
 SESSIONS = {"mpu9150-0": 100, "mpu9150-1": 100, "mpu9150-2": 100, "xsens": 100, "bicycle": 200}
 SAME_DEG, AGAIN_DEG = 5.0, 3.0
 
 
 def read(name):
     if name.startswith("mpu9150"):
-        with gzip.open(data_path("multipos_mpu9150", f"imu{name[-1]}.log.gz"), "rt") as file:
-            log = np.loadtxt(file)
-        return [Record(time=np.arange(len(log)) / 100.0, accel=log[:, :3], gyro=log[:, 3:6])]
+        return [mpu9150(int(name[-1]))]
     if name == "xsens":
-        parts = []
-        for what in ("acc", "gyro"):
-            with gzip.open(data_path("multipos_xsens", f"xsens_{what}.txt.gz"), "rt") as file:
-                parts.append(np.loadtxt(file))
+        parts = [np.loadtxt(data_path("multipos_xsens", f"xsens_{what}.txt.gz")) for what in ("acc", "gyro")]
         time = np.arange(len(parts[0])) / 100.0
         return [Record(time=time, accel=parts[0][:, 1:], gyro=parts[1][:, 1:], accel_unit="count", gyro_unit="count")]
-    records = []
-    for part in BICYCLE:
-        d = np.load(data_path("multipos_mpu6050_bicycle", f"{part}.npz"))
-        time = np.arange(len(d["t_s"])) / 200.0
-        records.append(Record(time=time, gyro=d["gyro_rad_s"], accel=d["acc_raw"], accel_unit="count"))
-    return records
+    return [replace(record, time=np.arange(len(record)) / 200.0) for record in bicycle()]
 
 
 def rest_noise(values, size=100):

@@ -2,6 +2,7 @@
 eleven short recordings of a bicycle's MPU-6050 (2013; BSD)."""
 
 import gzip
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from testkit.cohorts import share_limits
 from testkit.data import data_path, show
+from testkit.recordings import bicycle
 from testkit.rest_blocks import curve_uncertainty
 from undrift.drift.observe import observe_rests
 from undrift.drift.offset import fit_static, variance_of_mean
@@ -131,14 +133,6 @@ def left_out(blocks, group, calibration=IN_G):
     return np.reshape(errors, shape), np.reshape(stated, shape)
 
 
-def bicycle():
-    records = []
-    for path in sorted(data_path("multipos_mpu6050_bicycle").glob("*.npz")):
-        d = np.load(path)
-        records.append(Record(time=d["t_s"], gyro=d["gyro_rad_s"], temp_c=d["temp_degC"]))
-    return records
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("log", "before"),
@@ -151,7 +145,7 @@ def bicycle():
 def test_soak_left_out_of_a_real_log_lies_within_its_interval(warm_up, log, before):
     # ``before``: where each axis sought its own sizes, 2026-11-22, for comparison alone. No given log is of a chamber.
     if log == "recordings of a bicycle":
-        records = bicycle()
+        records = [replace(record, accel=None) for record in bicycle()]
         blocks = observe_rests(
             [thermal(record) for record in records], temperatures=[[record.temp_c] for record in records]
         )
@@ -191,14 +185,8 @@ def test_two_plateaus_give_a_line_that_owns_up_to_the_gap():
 
 
 def test_eleven_recordings_of_a_bicycle_give_slopes():
-    records = []
-    for path in sorted(data_path("multipos_mpu6050_bicycle").glob("*.npz")):
-        d = np.load(path)
-        records.append(
-            Record(time=d["t_s"], gyro=d["gyro_rad_s"], accel=d["acc_raw"], accel_unit="count", temp_c=d["temp_degC"])
-        )
-    blocks = blocks_of(thermal(*records))
-    assert len(records) == len(np.unique(blocks.pose)) == 11
+    blocks = blocks_of(thermal(*bicycle()))
+    assert len(np.unique(blocks.pose)) == 11
     fit = fit_static(blocks, nodes=np.arange(21.0, 24.6, 0.5))
     slope = 1e3 * fit.gyro.slope / RADIAN_PER_DEGREE
     stated = 1e3 * fit.gyro.slope_uncertainty / RADIAN_PER_DEGREE

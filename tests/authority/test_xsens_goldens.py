@@ -5,15 +5,16 @@ certificate of the same unit as the authors print it. Mapping: their a = T K (u 
 our a = matrix (u - offset) with matrix_ii = K_i, matrix_ij = T_ij K_j, offset = b; likewise for the rates with a full T.
 """
 
-import gzip
 from functools import cache
 
 import numpy as np
 import pytest
 
 from testkit.data import data_path, show
+from testkit.faces import still_means
 from testkit.poses import PosesFit, fit_multi_position
 from testkit.published_poses import PublishedFit, fit_as_published
+from testkit.recordings import mpu9150
 from undrift.model import TriadModel
 from undrift.record import Record
 from undrift.units import STANDARD_GRAVITY
@@ -22,14 +23,9 @@ GRAVITY = 9.81744  # m/s2, as the demonstration states it
 FACTORY_ACCEL, FACTORY_GYRO = np.array([415.0, 413.0, 415.0]), np.array([4778.0, 4758.0, 4766.0])
 
 
-def loaded(name: str) -> np.ndarray:
-    with gzip.open(data_path("multipos_xsens", name), "rt") as file:
-        return np.loadtxt(file)
-
-
 @cache
 def session() -> Record:
-    accel, gyro = (loaded(f"xsens_{what}.txt.gz") for what in ("acc", "gyro"))
+    accel, gyro = (np.loadtxt(data_path("multipos_xsens", f"xsens_{what}.txt.gz")) for what in ("acc", "gyro"))
     return Record(time=accel[:, 0], accel=accel[:, 1:], gyro=gyro[:, 1:], accel_unit="count", gyro_unit="count")
 
 
@@ -125,12 +121,10 @@ ASSUMED_GRAVITY = 9.81  # not stated with the data; it scales the answer and lea
 
 @pytest.mark.parametrize("unit", [0, 1, 2])
 def test_gravity_has_one_length_after_the_fit(unit: int) -> None:
-    with gzip.open(data_path("multipos_mpu9150", f"imu{unit}.log.gz"), "rt") as file:
-        log = np.loadtxt(file)
-    record = Record(time=np.arange(len(log)) / 100.0, accel=log[:, :3], gyro=log[:, 3:])
+    record = mpu9150(unit)
     fit = fit_multi_position(record, gravity=ASSUMED_GRAVITY)
     rms_mg = fit.accel.model.rms_residual / STANDARD_GRAVITY * 1e3
-    raw = np.array([np.linalg.norm(log[s.start : s.stop, :3].mean(axis=0)) for s in fit.stills]) - ASSUMED_GRAVITY
+    raw = np.linalg.norm(still_means(record.accel, fit.stills), axis=1) - ASSUMED_GRAVITY
     show(
         f"unit {unit}: |a| rms over {len(fit.stills)} stills before, mg",
         np.sqrt(np.mean(raw**2)) / STANDARD_GRAVITY * 1e3,

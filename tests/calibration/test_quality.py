@@ -1,14 +1,13 @@
 """Rests and turns of a session: refused or named if they are not what it states."""
 
-import gzip
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from testkit.data import data_path
 from testkit.findings import codes, only
+from testkit.recordings import mpu9150
 from testkit.strategies import one_line
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.quality import check_turns
@@ -175,17 +174,11 @@ NO_FACES = {
 PLAIN = CalibrateSettings(identify_adc=False)
 
 
-def board(unit: int) -> Record:
-    with gzip.open(data_path("multipos_mpu9150", f"imu{unit}.log.gz"), "rt") as file:
-        log = np.loadtxt(file)
-    return Record(time=np.arange(len(log)) / 100.0, accel=log[:, :3], gyro=log[:, 3:])
-
-
 @pytest.mark.parametrize("unit", NO_FACES)
 def test_poses_that_are_no_faces_are_bad(unit):
     order = ("+x", "-x", "+y", "-y", "+z", "-z")
     stills = tuple(Still(start=a, stop=b, face=f) for f, (a, b) in zip(order, NO_FACES[unit], strict=True))
-    session = Session(kind="calibration", serial="", gravity_m_s2=9.81, records=(board(unit),), stills=stills)
+    session = Session(kind="calibration", serial="", gravity_m_s2=9.81, records=(mpu9150(unit),), stills=stills)
     calibration = calibrate(session)
     assert calibration.verdict.status == "bad"
     tilt = [item.values["tilt_deg"] for item in calibration.verdict.findings if item.code.startswith("six_face.tilt")]
@@ -201,7 +194,7 @@ def test_poses_that_are_no_faces_are_bad(unit):
 
 @pytest.mark.parametrize("unit", [0, 1, 2])
 def test_all_poses_of_the_same_boards_are_good(unit):
-    calibration = calibrate(Session(kind="calibration", serial="", gravity_m_s2=9.81, records=(board(unit),)))
+    calibration = calibrate(Session(kind="calibration", serial="", gravity_m_s2=9.81, records=(mpu9150(unit),)))
     assert calibration.verdict.status == "good"
 
 

@@ -4,8 +4,8 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 
-from testkit.data import data_path
 from testkit.hand_held import Tremor, hand_held_log
+from testkit.recordings import nilspod
 from undrift.calibration.calibrate import calibrated
 from undrift.calibration.pieces import pieces_of
 from undrift.calibration.session import look
@@ -25,13 +25,8 @@ def drawn(session):
     return pieces, text
 
 
-def nilspod():
-    d = np.loadtxt(data_path("ferraris_nilspod", "example_ferraris_session.csv"), delimiter=",", skiprows=1)
-    return session_of(Record(time=np.arange(len(d)) / 102.4, gyro=d[:, 1:4], accel=d[:, 4:7], gyro_unit="dps"))
-
-
 def test_a_hand_turned_session_shows_its_faces_and_its_three_full_turns():
-    pieces, text = drawn(nilspod())
+    pieces, text = drawn(session_of(nilspod()))
     faces = [piece.label for piece in pieces if piece.kind == "still"]
     assert faces == ["+x", "+x", "-x", "+y", "-y", "+z", "-z", "+x", "+x", "+y", "+y", "+z", "+z"]
     turns = {piece.label for piece in pieces if piece.kind == "turn"}
@@ -42,7 +37,7 @@ def test_a_hand_turned_session_shows_its_faces_and_its_three_full_turns():
 
 
 def test_what_a_calibration_used_is_shown():
-    made, observed = calibrated(nilspod(), settings=CalibrateSettings(turn_angle_deg=360.0))
+    made, observed = calibrated(session_of(nilspod()), settings=CalibrateSettings(turn_angle_deg=360.0))
     pieces = pieces_of(observed, made)
     assert {piece.why for piece in pieces} == {""}
     text = svg_of(draw_recording(observed.session.records, pieces, title="bench", used=True))
