@@ -25,12 +25,6 @@ def guide(tmp_path):
     return SixFaces(Capture(tmp_path / "session"))
 
 
-@pytest.fixture
-def feed():
-    with HandFeed(seed=5) as made:
-        yield made
-
-
 @pytest.fixture(scope="module")
 def complete(tmp_path_factory):
     """A feed, and a guide that has six faces of it; tests change a copy of the guide."""

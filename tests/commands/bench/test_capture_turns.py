@@ -23,12 +23,6 @@ def guide(tmp_path):
     return Turns(Capture(tmp_path / "session"))
 
 
-@pytest.fixture
-def feed():
-    with HandFeed(seed=5) as made:
-        yield made
-
-
 def turn(feed, guide, axis="z", angle=TURN, **lost):
     """Rest, turn once, rest; return the lights."""
     lights = feed.watch(guide, 6.0)
