@@ -77,19 +77,9 @@ def assert_same(a: object, b: object, where: str = "calibration") -> None:
         for field in fields(a):
             assert_same(getattr(a, field.name), getattr(b, field.name), f"{where}.{field.name}")
     elif isinstance(a, np.ndarray):
-        assert a.shape == b.shape, where
-        assert a.dtype == b.dtype, where
-        both_nan = np.isnan(a) & np.isnan(b)
-        assert (
-            (both_nan | ((a == b) & (np.signbit(a) == np.signbit(b)))).all() if a.dtype != bool else (a == b).all()
-        ), where
-    elif isinstance(a, tuple) and a and isinstance(a[0], float):
-        for x, y in zip(a, b, strict=True):
-            assert_same(x, y, where)
-    elif isinstance(a, float):
-        assert (math.isnan(a) and math.isnan(b)) or (a == b and math.copysign(1, a) == math.copysign(1, b)), where
+        assert (a.shape, a.dtype, a.tobytes()) == (b.shape, b.dtype, b.tobytes()), where
     else:
-        assert a == b, where
+        assert repr(a) == repr(b), where
 
 
 def example(**changes: object) -> Calibration:
