@@ -61,7 +61,7 @@ def make_recording(
         place = np.mod(fine - rest_s, 10.0)
         gate = np.clip(np.minimum(place, 6.0 - place) / 0.5, 0.0, 1.0)
         w = w * gate[:, None]
-    middle = turning_rate_at_middle(w)
+    middle = 0.5 * (w + np.concatenate((w[1:], w[-1:])))
     steps = Rotation.from_rotvec(middle / FINE_HZ)
     start = Rotation.from_euler("xyz", (tilt, -0.5 * tilt, 0.7)).as_quat(scalar_first=True)
     q = running_product(np.vstack((start, steps.as_quat(scalar_first=True)[:-1])))
@@ -87,18 +87,14 @@ def make_recording(
     if optics_noise:
         seen = seen * Rotation.from_rotvec(optics_noise * rng.normal(size=(len(fine[::every]), 3)))
     at = fine[::every]
+    at, seen = at[at <= total], seen[at <= total]
     reference = Reference(
         time=at,
         q_nb=seen.as_quat(scalar_first=True),
         moving=((at >= rest_s) & (at < rest_s + turn_s)).astype(float) if mark else None,
         name="turned by hand",
     )
-    keep = at <= total
-    return record, cut(reference, keep)
-
-
-def turning_rate_at_middle(w):
-    return 0.5 * (w + np.concatenate((w[1:], w[-1:])))
+    return record, reference
 
 
 def running_product(q):
@@ -111,15 +107,6 @@ def running_product(q):
     for k in range(1, len(runs)):
         runs[k] = quaternion_product(runs[k - 1, -1], runs[k])
     return runs.reshape(-1, 4)[:n]
-
-
-def cut(reference, keep):
-    return Reference(
-        time=reference.time[keep],
-        q_nb=reference.q_nb[keep],
-        moving=None if reference.moving is None else reference.moving[keep],
-        name=reference.name,
-    )
 
 
 def hidden(reference, start_s, stop_s):

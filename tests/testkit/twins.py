@@ -87,13 +87,9 @@ def strapdown(gyro, time, q):
 
 def rotation_matrices(q: np.ndarray) -> np.ndarray:
     """Return matrices (..., 3, 3) of quaternions w-x-y-z."""
-    w, x, y, z = np.moveaxis(q, -1, 0)
-    rows = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    )
-    return np.moveaxis(np.array([np.stack(row) for row in rows]), (0, 1), (-2, -1))
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_quat(q, scalar_first=True).as_matrix()
 
 
 def carried_means(rate, force, of_rate, of_force, time, first, weight):
