@@ -106,8 +106,11 @@ def run_page(text: str, folder: Path) -> int:
 
 def _run_commands(block: Block, at: str) -> str:
     lines, wanted = lines_of(block.text), int(block.marks.get("exit", "0"))
-    for line in lines:
-        parse(line, at)
+    for program, *words in map(words_of, lines):
+        if program == "undrift":
+            check_call(words)
+        else:
+            assert program in ELSEWHERE, f"{at}: {program}: unknown program"
     if "parsed" in block.marks:
         assert block.marks["parsed"], f"{at}: parsed wants its reason"
         return ""
@@ -134,15 +137,6 @@ def words_of(line: str) -> list[str]:
         result = sorted(glob.glob(word)) if "*" in word else []
         words += result or [word]
     return words
-
-
-def parse(line: str, at: str) -> None:
-    """Check that a command has the options of the line. Other programs are checked by name only."""
-    words = words_of(line)
-    if words[0] != "undrift":
-        assert words[0] in ELSEWHERE, f"{at}: {line}: unknown program"
-        return
-    check_call(words[1:])
 
 
 def _check_printed(shown: str, printed: str, at: str, *, exact: bool) -> None:
