@@ -81,8 +81,8 @@ def first_sentences(answers: Sequence[Sequence[str]]) -> str:
     warm = sum("warm" in name for name in half)
     return (
         f"**For 1 deg, calibrate by hand at room temperature: this is enough in {by_hand} of {len(answers)} combinations of "
-        f"device, task and people.\nFor 0.5 deg, a session at room temperature is enough in {at_room}, and one at the temperature "
-        f"at which the device is worn in {warm} more.**"
+        f"device, task and people.\nFor 0.5 deg, a session at room temperature is enough in {at_room}, and a session at the "
+        f"temperature at which the device is worn in {warm} more.**"
     )
 
 
@@ -97,27 +97,29 @@ def page(outcomes: Sequence[StudyOutcome]) -> str:
         "",
         first_sentences([cell.split(" / ") for row in rows for cell in row[2:]]),
         "",
-        "Good enough means that 95 % of the simulated devices stay below the target, each on a different person.",
-        f"Each row has {outcomes[0].subjects} devices, seed {first.seed}, "
-        f"worn {first.excursion_k[0]:g} to {first.excursion_k[1]:g} K above the room, with the offset of the rest subtracted.",
+        "Good enough means that 95 % of the simulated devices have an error below the target, each on a different person.",
+        f"Each row is for {outcomes[0].subjects} devices (seed {first.seed}), worn {first.excursion_k[0]:g} to "
+        f"{first.excursion_k[1]:g} K above room temperature, with the offset of the rest subtracted.",
         "Sessions in a chamber take hours and are not in the tables.",
         "",
         "## One session for all tasks and people",
         "",
-        "Three tasks (sit-to-stand, step, posturography) and three categories of people (level 2 of the note, young, impaired).",
+        "The table covers three tasks (sit-to-stand, step, posturography) and three categories of people (level 2 of the note, "
+        "young, impaired).",
         "",
         *table(("device", *targets), [[outcome.study.device, *answer_row(outcome)] for outcome in outcomes]),
         "",
         "## Error that 95 % of the devices stay below",
         "",
-        "In deg, for the least favourable of the nine tasks and categories; the minutes of each session in brackets.",
+        "Errors are in deg, for the least favourable combination of task and category.",
+        "The minutes of each session are in brackets.",
         "A dash means that the session could not calibrate every device.",
         "",
         *table(("device", *minutes), [[outcome.study.device, *worst_row(outcome)] for outcome in outcomes]),
         "",
         "## Each task",
         "",
-        f"Cheapest session at {' / '.join(targets)}.",
+        f"Each cell lists the cheapest session at {' / '.join(targets)}.",
         "",
         *table(
             ("device", "task", *(name.replace("_", " ") for name in CATEGORIES)),
