@@ -54,7 +54,6 @@ def made(**change):
 
 
 def part(rows, pieces, turns):
-    """Return some of the rests and turns."""
     return replace(
         rows,
         reading=rows.reading[pieces], noise=rows.noise[pieces], force=rows.force[pieces],

@@ -25,7 +25,6 @@ READING = 9.81 * face_vectors(FACES) @ FORWARD.T + np.array([0.3, -0.2, 0.1])
 
 
 def permuted(*order):
-    """Return the readings of the faces in another order."""
     return READING[list(order)]
 
 

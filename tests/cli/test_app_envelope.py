@@ -55,7 +55,6 @@ WARM = (
 
 @pytest.fixture
 def words(bench, tmp_path, monkeypatch):
-    """The words of a call."""
     (tmp_path / "warm.toml").write_text(WARM)
     at_rest(tmp_path, "rest.csv")
     names = {"bench": bench, "here": tmp_path, "warm": data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz")}

@@ -28,7 +28,6 @@ def board(undrift, tmp_path):
 
 
 def same(one, other):
-    """Two calibrations with the same numbers."""
     for triad in ("gyro", "accel"):
         np.testing.assert_array_equal(one[triad]["matrix"], other[triad]["matrix"])
         np.testing.assert_array_equal(one[triad]["offset"], other[triad]["offset"])

@@ -40,11 +40,9 @@ class Plan:
     cuts: list[tuple[int, int]]  # input and point; empty if inputs are damaged at random
 
     def seed_of(self, number: int) -> Seed:
-        """Return the sound input of a number."""
         return self.inputs[self.cuts[number][0] if self.cuts else number % len(self.inputs)]
 
     def content_of(self, number: int) -> bytes:
-        """Return the damaged input of a number."""
         seed = self.seed_of(number)
         if self.cuts:
             return cut(seed.content, self.cuts[number][1])

@@ -35,8 +35,6 @@ GOOD, BAD = ("clear", "succeeds"), ("unclear", "crash", "half file", "lost", "ap
 
 @dataclass(frozen=True)
 class Call:
-    """A command that writes."""
-
     words: str  # {b} is the folder of what it reads, {o} that of its results
     together: bool = False  # Its files belong together
     fresh: bool = False  # It refuses to write over an older result, or goes on with it
@@ -96,7 +94,6 @@ FEW = ("info --write-map", "correct .csv", "export c")
 
 
 def make_inputs(folder: Path, *, soak: bool) -> None:
-    """Write what the calls read."""
     import numpy as np
 
     from testkit.bench_and_commands import make_bench
@@ -150,7 +147,6 @@ def called(words: list[str]) -> tuple[int, str]:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Return each file below a folder."""
     return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
@@ -162,7 +158,6 @@ def same(one: bytes | None, other: bytes) -> bool:
 def judge(
     call: Call, before: dict[str, bytes], after: dict[str, bytes], sound: dict[str, bytes], answer: tuple[int, str]
 ) -> str:
-    """Name what became of a call."""
     code, err = answer
     lines = [line for line in err.splitlines() if not re.match(r"undrift \w+(?: \w+)?: ", line)]
     if code == -1 or "Traceback" in err:

@@ -42,8 +42,6 @@ FRAMES = 40  # of a packed TRC file
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of one input."""
-
     kind: str  # one of oracle.KINDS, "read" where no readings are compared, or what must not be
     text: str = ""
 

@@ -52,8 +52,6 @@ REGULAR = 0.05  # of the median: steps of a time column that a missing row break
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reading:
-    """What was read of a file."""
-
     kind: str  # recording, markers, reference
     names: tuple[str, ...]  # of the columns
     values: np.ndarray  # (N, K), time first
@@ -156,7 +154,6 @@ def unpacked(content: bytes) -> bytes | None:
 
 
 def lines_of(content: bytes) -> list[bytes]:
-    """Return the lines that are not blank."""
     return [line.rstrip(b"\r") for line in content.split(b"\n") if line.strip()]
 
 

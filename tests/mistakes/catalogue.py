@@ -49,7 +49,6 @@ def plant(sound_input: str, names: str, outcome: str = "named") -> None:
 
 
 def add(sound_input: str, name: str, change: Change, says: str, outcome: str = "named", *, noted: bool = False) -> None:
-    """Enter a mistake."""
     MISTAKES.append(Mistake(sound=sound_input, name=name, change=change, says=says, outcome=outcome, noted=noted))
 
 

@@ -33,8 +33,6 @@ def wrong_rate(true_hz: int) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Habit:
-    """One change of recordings."""
-
     name: str
     change: Callable[[Recording], Recording]
     says: str

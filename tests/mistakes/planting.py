@@ -53,8 +53,6 @@ Change = Callable[[Case], Case]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mistake:
-    """One mistake of a user."""
-
     sound: str  # name of the sound input
     name: str  # what the person did, as a clause
     change: Change
@@ -64,14 +62,11 @@ class Mistake:
 
     @property
     def label(self) -> str:
-        """Return the sound input and the mistake."""
         return f"{self.sound}: a person {self.name}"
 
 
 @dataclass(frozen=True, slots=True)
 class Told:
-    """What a person is told."""
-
     code: int
     error: str = ""
     warnings: tuple[str, ...] = ()  # findings that warn or fail

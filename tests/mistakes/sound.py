@@ -38,7 +38,6 @@ class Recording:
     keys: Mapping[str, str] = field(default_factory=dict)  # further keys of the map
 
     def with_columns(self, **columns: FloatArray) -> "Recording":
-        """Return the recording with other columns in the file."""
         return replace(self, columns={**self.columns, **columns})
 
     def scaled(self, names: tuple[str, ...], factor: float) -> "Recording":
@@ -51,11 +50,9 @@ class Recording:
         return self.with_columns(**dict(zip(names, values.T, strict=True)))
 
     def rows(self, chosen: FloatArray) -> "Recording":
-        """Return the recording with the chosen rows only."""
         return replace(self, columns={name: values[chosen] for name, values in self.columns.items()})
 
     def in_units(self, **units: str) -> "Recording":
-        """Return the recording with other units in the map."""
         return replace(self, units={**self.units, **units})
 
     def map_text(self) -> str:
@@ -140,7 +137,6 @@ def pose_session(seed: int = 11) -> undrift.Session:
 
 
 def poses(seed: int = 11) -> Recording:
-    """Return the recording of free poses."""
     return recording_of(pose_session(seed).records[0])
 
 

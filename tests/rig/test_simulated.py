@@ -12,7 +12,6 @@ DEVICE = random_device(np.random.default_rng(3), grade="consumer")
 
 
 def own(bench):
-    """Return the readings of the device of a bench."""
     return bench.readings[0]
 
 

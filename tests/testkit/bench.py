@@ -37,15 +37,12 @@ if FORKS.get_start_method() == "forkserver":
 
 @dataclass(frozen=True)
 class BenchServer:
-    """A bench that serves."""
-
     address: str  # with a slash at its end
     folder: Path
     process: ForkServerProcess
 
     @property
     def port(self) -> int:
-        """Return its port."""
         return int(self.address.split(":")[2].partition("/")[0])
 
 

@@ -28,7 +28,6 @@ def bench(tmp_path_factory) -> Path:
 
 
 def make_bench(folder: Path) -> Path:
-    """Write the files of a bench into a folder."""
     session = demo_session(np.random.default_rng(2007), quick=True)
     write_session(session.session, folder / "session")
     write_record(session.trial.record, folder / "trial.parquet")

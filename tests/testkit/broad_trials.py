@@ -24,11 +24,9 @@ DEVICES = {"B": (2, 5, 7, 9), "C": (3, 24), "D": (32, 35)}  # by their offsets, 
 
 
 def of_device(device: str) -> tuple[tuple[tuple[Record, Reference], ...], tuple[str, ...]]:
-    """Return the trials of a device and their names."""
     return tuple(trial(number) for number in DEVICES[device]), tuple(FILES[number] for number in DEVICES[device])
 
 
 @cache
 def trial(number: int) -> tuple[Record, Reference]:
-    """Return record and reference of a trial."""
     return read_broad(data_path("broad", f"{FILES[number]}.hdf5"))

@@ -131,7 +131,6 @@ class TurningCard(Card):
         return super().answer(command)
 
     def poll(self) -> bool:
-        """Return whether a move runs."""
         return self.bench.servo.moving
 
     def act(self, command: str) -> bytes:
@@ -158,7 +157,6 @@ class TurningCard(Card):
         return b":"
 
     def refuse(self, code: int) -> bytes:
-        """Refuse a command for a reason."""
         self.code = code
         return b"?"
 
@@ -247,5 +245,4 @@ class TurningBoard(Board):
 
     @property
     def counts_per_turn(self) -> float:
-        """Return the counts of the bench's encoder in a turn."""
         return 2.0 * math.pi * self.bench.servo.settings.counts_per_rad

@@ -21,8 +21,6 @@ PROGRESS = re.compile(r"^undrift \w+(?: \w+)?: .+, \d+ s so far.*\n", re.MULTILI
 
 @dataclass(frozen=True)
 class Answer:
-    """Result of a call."""
-
     code: int
     out: str
     err: str
@@ -36,7 +34,6 @@ class Answer:
         return values
 
     def data(self) -> dict[str, Any]:
-        """Return the values for programs of the object on stdout."""
         data = self.json()["data"]
         assert isinstance(data, dict)
         return data
@@ -88,7 +85,6 @@ def lines_of(path: Path) -> list[list[str]]:
 
 
 def write_lines(path: Path, lines: list[list[str]]) -> None:
-    """Write cells as CSV."""
     path.write_text("\n".join(",".join(cells) for cells in lines) + "\n")
 
 

@@ -27,8 +27,6 @@ _WALKING = 30.0  # days, to which ``ageing`` refers
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DailyUseSettings:
-    """Daily use of a device."""
-
     days: int = 50
     turn_on: float = 0.03 * RADIAN_PER_DEGREE  # standard deviation of the offset from switch-on to switch-on, rad/s
     ageing: float = 0.02 * RADIAN_PER_DEGREE  # standard deviation of the offset's walk in 30 days, rad/s
@@ -45,8 +43,6 @@ class DailyUseSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Day:
-    """One day of use."""
-
     number: int  # from 0
     session: Session  # one recording, nothing labelled
     shift: FloatArray  # (3,), of the gyroscopes on this day: ageing and switch-on, rad/s
@@ -87,7 +83,6 @@ def board_temperature(motion: Motion, rng: np.random.Generator, settings: DailyU
 
 
 def draw_day(rng: np.random.Generator, settings: DailyUseSettings) -> Motion:
-    """Draw the use of the device on a day."""
     rate = settings.sample_rate_hz
     risen, stance = draw_task("sit_to_stand", rng=rng, rest_s=1.0), draw_task("posturography", rng=rng, rest_s=0.0)
     upright = np.arange(round(min(settings.worn_s, stance.duration_s) * rate)) / rate

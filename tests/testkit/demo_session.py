@@ -18,8 +18,6 @@ from undrift.units import RADIAN_PER_DEGREE
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Demo:
-    """A small complete example."""
-
     device: DeviceModel  # The truth
     nominal: Calibration  # from the data sheet only
     session: Session  # Six faces and rate-table steps

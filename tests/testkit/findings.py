@@ -12,5 +12,4 @@ def only(findings: Iterable[Finding], code: str) -> Finding:
 
 
 def codes(findings: Iterable[Finding]) -> list[str]:
-    """Return the codes in order."""
     return [item.code for item in findings]

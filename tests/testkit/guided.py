@@ -68,7 +68,6 @@ class HandFeed:
         return lights
 
     def moved_in(self, piece):
-        """Whether the device was moved while a piece was captured."""
         return any(start + 1e-6 < piece.stop_s and piece.start_s < stop for start, stop in self.moves)
 
 
@@ -95,7 +94,6 @@ def accel_as_six_faces_see_it(device, gravity_m_s2=STANDARD_GRAVITY):
 
 
 def capture_faces(feed, guide, step_s=LONG_STEP_S, within_s=200.0):
-    """Follow the guide until it has six faces."""
     end = feed.clock.now() + within_s
     while not guide.complete:
         assert feed.clock.now() < end, f"never complete: {guide.light}"
@@ -110,7 +108,6 @@ def capture_faces(feed, guide, step_s=LONG_STEP_S, within_s=200.0):
 
 
 def capture_turns(feed, guide, step_s=LONG_STEP_S, within_s=300.0):
-    """Follow the guide until it has six turns."""
     end = feed.clock.now() + within_s
     while not guide.complete:
         assert feed.clock.now() < end, f"never complete: {guide.light}"

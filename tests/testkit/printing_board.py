@@ -72,7 +72,6 @@ class PrintingBoard:
         return self
 
     def unplug(self) -> None:
-        """Pull the cable."""
         with self._lock:
             if self._near >= 0:
                 os.close(self._near)

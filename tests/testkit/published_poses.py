@@ -77,7 +77,6 @@ def fit_lengths(reading: np.ndarray, gravity: float, unit_in: str) -> TriadFit:
 
 
 def fit_as_published(record: Record, gravity: float, rest_s: float = 50.0) -> PublishedFit:
-    """Fit both triads of a recording by the published rule."""
     level = variance_with_rest(record, rest_s)
     shortest = round(record.sample_rate_hz)
     multiples = tuple(float(m) for m in range(2, 11))

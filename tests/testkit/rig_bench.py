@@ -33,7 +33,6 @@ SHORT = Protocol(protocol=ProtocolTable(name="short"), faces=FACE, rates=RATES)
 
 
 def with_set_points(protocol, *set_points_c):
-    """Return a protocol with set-points of the chamber."""
     return protocol.but(temperatures=TemperaturesTable(set_points_c=set_points_c))
 
 

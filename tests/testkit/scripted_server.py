@@ -54,7 +54,6 @@ class Line:
         self._server, self._clock, self._waiting, self._said = server, server.clock, b"", b""
 
     def say(self, data: bytes) -> None:
-        """Send bytes to the client."""
         self._said += data
 
     def receive(self, wait_s: float) -> bytes:

@@ -24,7 +24,6 @@ class TalkingDevice(Listener):
 
     @property
     def address(self) -> str:
-        """Return the address of the device."""
         options = f"channels={CHANNELS}&rate={self.rate:g}&gyro_unit=dps&accel_unit=m/s2&device=talker"
         return f"tcp://127.0.0.1:{self.port}?{options}"
 

@@ -9,8 +9,6 @@ import pytest
 
 
 class Terminal(io.StringIO):
-    """A terminal that stores its text."""
-
     def isatty(self) -> bool:
         return True
 

@@ -19,7 +19,6 @@ class VirtualRepeat(Repeat):
         self.ended, self._step, self._due = False, step, due
 
     def end(self, longest_s: float | None = None) -> None:
-        """Take no further step."""
         self.ended = True
 
     def take(self) -> None:
@@ -43,7 +42,6 @@ class VirtualCondition(threading.Condition):
         return self._told
 
     def notify(self, n: int = 1) -> None:
-        """Let who waits go on."""
         self._told = True
 
 
@@ -58,7 +56,6 @@ class VirtualClock(Clock):
         self._doors: dict[tuple[str, int], Callable[[], Port]] = {}
 
     def now(self) -> float:
-        """Return the time, s."""
         return self._now
 
     def wait(self, duration_s: float) -> None:
@@ -85,7 +82,6 @@ class VirtualClock(Clock):
         return result
 
     def condition(self) -> threading.Condition:
-        """Return a condition whose waits take this clock's time."""
         return VirtualCondition(self)
 
     def listen(self, host: str, port: int, connect: Callable[[], Port]) -> int:

@@ -69,7 +69,6 @@ def errors_deg() -> dict[str, list[float]]:
 
 
 def main(path: str) -> None:
-    """Draw the figure and print the table."""
     errors = errors_deg()
     bars = {label: [values[k] for values in errors.values()] for k, label in enumerate(LABELS)}
     title = "VQF against optics: BROAD trials, device in brackets"

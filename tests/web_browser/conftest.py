@@ -74,7 +74,6 @@ class Person:
         page.on("pageerror", lambda error: self.complaints.append(str(error)))
 
     def click(self, name: str, role: str = "button") -> None:
-        """Click a control by its name."""
         self.page.get_by_role(role, name=name, exact=True).click(timeout=COMMAND_MS)  # type: ignore[arg-type]
         self.clicks += 1
 
@@ -85,7 +84,6 @@ class Person:
 
 
 def report(page: Page) -> FrameLocator:
-    """Return the report that a page shows."""
     return page.frame_locator("iframe")
 
 
