@@ -44,7 +44,7 @@ def found(study: Row) -> dict[str, str]:
         [
             "the four numbers of the protocol change the error (Table 1)",
             "p = " + ", ".join(NOTE_P.values()) + " (sit-to-stand, step, posturography)",
-            "least p of the four, after Holm: " + ", ".join(f"{p:.2g}" for p in least.values())
+            "smallest p of the four, after Holm: " + ", ".join(f"{p:.2g}" for p in least.values())
             + f"; step and limits of the rates change the error by {1e3 * rates:.1f} mdeg at most",
         ],
         [
@@ -69,7 +69,7 @@ def found(study: Row) -> dict[str, str]:
             f"tilt at rest: six faces on a level plate {tilt['three rates']:.2f} deg, robot arm {tilt['robot arm']:.2f}, "
             f"inclined plane {tilt['inclined plane']:.2f}, trolley {tilt['trolley']:.2f}, piston {tilt['piston']:.2f}",
         ],
-        ["the groups (Table 2)", "30 people each", "the same least, mean and largest age and height"],
+        ["the groups (Table 2)", "30 people each", "the same minimum, mean and maximum of age and height"],
     ]  # fmt: skip
     by_parameter = {
         task: {row["parameter"]: row for row in rows} for task, rows in tests.items()
@@ -113,8 +113,8 @@ def found(study: Row) -> dict[str, str]:
         if row["mean (deg)"] is not None
     ]
     return {
-        "claims": table(["claim", "the note", "found"], claims),
-        "table-1": table(["task", *by_parameter["step"], "p of the four", "least p after Holm", "the note's p"], first),
+        "claims": table(["claim", "the note", "undrift"], claims),
+        "table-1": table(["task", *by_parameter["step"], "p of the four", "smallest p after Holm", "the note's p"], first),
         "rivals": table(["method", "minutes", "calibrates", *TASKS.values(), "tilt at rest"], rivals),
         "sessions": table(["session", "minutes", *TASKS.values()], errors),
     }

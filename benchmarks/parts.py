@@ -111,10 +111,11 @@ def rows_of(kind: str, devices: int) -> Iterator[str]:
 HEAD = """# What to expect of a part
 
 The table shows the pitch error of the gyroscopes without a filter, after one minute and after 15 minutes.
-{devices} simulated people stand up and sit down all the time. Each wears a different device, 10 to 15 K above the room.
-Each cell contains the median error in deg; 95 % of the devices stay below the value in brackets.
+In the simulation, {devices} people stand up and sit down all the time.
+Each person wears a different device, 10 to 15 K above room temperature.
+Each cell contains the median error in deg, and in brackets the error that 95 % of the devices do not exceed.
 
-- **raw**: the gains of the data sheet, and nothing else.
+- **raw**: only the gains of the data sheet are used.
 - **rest offset**: the offset from a rest of ten seconds is subtracted.
 - **by hand**: also calibrated once with six faces and three turns by hand, at room temperature.
 - **by hand, warm**: the same calibration, made at the temperature at which the device is worn.
@@ -130,7 +131,7 @@ For an orientation that does not drift, use `undrift orient --method vqf`, which
 MEASURED_HEAD = """
 ## Measured parts
 
-The table shows the angle between the orientation from the gyroscopes and the true one: mean at the end of real recordings, deg.
+The table shows the mean angle in deg between the gyroscope orientation and the true orientation at the end of real recordings.
 "By motion" and "by optics" are calibrations from other recordings of the same device.
 To add a part, copy the form below, replace every value, and open an issue with it.
 

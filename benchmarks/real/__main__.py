@@ -62,8 +62,8 @@ def line(row: dict[str, Any]) -> list[str]:
 
 LEAST_SQUARES_TEXT = (
     "Priors and settings of undrift were chosen with simulations and with the trials of BROAD.",
-    "This table compares undrift with ordinary least squares on the same readings, which has none of them and gives no interval.",
-    "Calibration from motion only has no such rival, because least squares without a prior has no unique answer there.",
+    "This table compares undrift with ordinary least squares on the same readings, which has no priors or settings and gives no intervals.",
+    "Calibration from motion only has no such rival, because least squares without a prior has no unique answer for it.",
     "The truth of both Ferraris rows is such a fit.",
 )
 HEAD = ["set", "task", "limit", "undrift", "best plain rival", "95 % intervals that hold"]
@@ -73,7 +73,7 @@ def worth(rows: list[dict[str, Any]]) -> list[str]:
     """Return the table of rows that plain least squares can answer too."""
     cells = [["set", "task", "undrift", "plain least squares", "ratio"], ["---"] * 5]
     for row in rows:
-        for rival in LEAST_SQUARES & set(row.get("rivals", {})):
+        for rival in (name for name in row.get("rivals", {}) if name in LEAST_SQUARES):
             ours, plain, unit = row["error"], row["rivals"][rival], row["unit"]
             cells.append([row["set"], row["task"], f"{ours:.3g} {unit}", f"{plain:.3g} {unit}", f"{ours / plain:.2f}"])
     return ["| " + " | ".join(line) + " |" for line in cells]
@@ -88,8 +88,8 @@ def summary(rows: list[dict[str, Any]]) -> str:
     return (
         f"{sum(row['within'] for row in done)} of {len(rows)} rows are within their limit. "
         f"{sum(row['loses'] for row in done)} lose to the best plain rival by more than 10 %. "
-        f"Of {checks} stated 95 % intervals, {inside} hold ({share}); "
-        f"the mean of the rows is {100.0 * sum(shares) / max(len(shares), 1):.0f} %."
+        f"Of {checks} stated 95 % intervals, {inside} hold ({share}). "
+        f"The mean over the rows is {100.0 * sum(shares) / max(len(shares), 1):.0f} %."
     )
 
 
