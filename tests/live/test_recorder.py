@@ -169,24 +169,20 @@ def test_a_device_that_never_sends_is_a_timeout_and_nothing_keeps_running():
             recorder.start()
 
 
-def test_a_device_that_falls_silent_is_told():
-    recorder, _ = on_virtual_clock(paced(30))
+@pytest.mark.parametrize(
+    ("hang_up", "error", "words"),
+    [(False, RigTimeout, "got nothing"), (True, LinkError, "link is lost .the other side")],
+)
+def test_a_device_that_sends_no_more_is_told(hang_up, error, words):
+    recorder, _ = on_virtual_clock(paced(30), hang_up=hang_up)
     with recorder:
-        with pytest.raises(RigTimeout, match=r"got nothing"):
+        with pytest.raises(error, match=words):
             recorder.between(recorder.now(), recorder.now() + 60.0)
-        with pytest.raises(RigTimeout, match=r"got nothing"):
-            recorder.check()
+        for ask in (recorder.check, recorder.latest):
+            with pytest.raises(error, match=words):
+                ask()
         recorder.stop()
     assert recorder.timeline.readings == 30
-
-
-def test_a_device_that_hangs_up_is_told():
-    recorder, _ = on_virtual_clock(paced(30), hang_up=True)
-    with recorder:
-        with pytest.raises(LinkError, match=r"link is lost .the other side"):
-            recorder.between(recorder.now(), recorder.now() + 60.0)
-        with pytest.raises(LinkError, match=r"is lost"):
-            recorder.latest()
 
 
 def test_what_is_no_longer_kept_is_refused():
