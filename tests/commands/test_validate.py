@@ -10,11 +10,10 @@ from benchmarks.broad_files import broad_file
 
 from testkit.data import data_path, show
 from testkit.hand_turns import Device, make_recording
-from testkit.plain_triad import plain_triad
+from testkit.walking import perfect_calibration
 from undrift.io.formats import write_record
 from undrift.io.reference import write_reference
 from undrift.io.store import read_calibration, write_calibration
-from undrift.model import Calibration
 
 pytestmark = pytest.mark.usefixtures("computed_once")
 
@@ -75,16 +74,9 @@ def test_correct_orient_and_validate_subtract_the_rate_of_the_same_first_rest(un
     gyro[jolt] += 0.5 * swing
     accel[jolt] += swing
     record = replace(record, gyro=gyro, accel=accel)
-    calibration = Calibration(
-        device="",
-        reference_temp_c=float("nan"),
-        gravity_m_s2=9.81,
-        gyro=plain_triad("rad/s", "rad/s"),
-        accel=plain_triad("m/s2", "m/s2", "accel"),
-    )
     write_record(record, tmp_path / "r.parquet")
     write_reference(reference, tmp_path / "ref.parquet")
-    write_calibration(calibration, tmp_path / "c.json")
+    write_calibration(perfect_calibration(), tmp_path / "c.json")
     words = (tmp_path / "r.parquet", "--calibration", tmp_path / "c.json", "--offset", offset, "--json")
     corrected = undrift.good("correct", *words, "-o", tmp_path / "c.parquet").data()["rest"]
     oriented = undrift.good("orient", *words, "-o", tmp_path / "o.csv").data()

@@ -5,26 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from testkit.plain_triad import plain_triad
+from testkit.walking import perfect_calibration
 from undrift.correction import rest as rest_module
 from undrift.correction.correct import Corrector, correct, correct_checked
 from undrift.correction.rest import find_rest_offset, rest_offset
 from undrift.errors import InputError
-from undrift.model import Calibration
 from undrift.orientation import OrientSettings, orient
 from undrift.record import Record, Still, joined
 
 FS = 100.0
 LEFT = np.array([0.02, -0.01, 0.005])  # rad/s
-
-
-CALIBRATION = Calibration(
-    device="a",
-    reference_temp_c=25.0,
-    gravity_m_s2=9.81,
-    gyro=plain_triad("rad/s", "rad/s"),
-    accel=plain_triad("m/s2", "m/s2", "accel"),
-)
+CALIBRATION = perfect_calibration()
 
 
 def worn(seed=1, *, rest_s=20.0, motion_s=20.0, noise=1e-3):
