@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from testkit.broad_trials import trial
 from testkit.data import data_path, show
@@ -17,7 +18,7 @@ RATE_HZ = 100.0
 
 
 def turned_by_hand(seconds: float = 40.0, *, seed: int = 3, reach_m: float = 0.15) -> Record:
-    """Return what ideal sensors read in a hand that turns and swings them: slow waves in angle and place, written out."""
+    """Return what ideal sensors read in a hand that turns and swings them: slow waves in angle and place."""
     rng = np.random.default_rng(seed)
     t = np.arange(int(seconds * 1000.0)) / 1000.0
 
@@ -25,12 +26,7 @@ def turned_by_hand(seconds: float = 40.0, *, seed: int = 3, reach_m: float = 0.1
         f, phase = rng.uniform(0.1, 0.6, (4, 3)), rng.uniform(0.0, 6.3, (4, 3))
         return sum(size / 2.0 * np.sin(2.0 * np.pi * f[k] * t[:, None] + phase[k]) for k in range(4))
 
-    roll, pitch, yaw = waves(0.9).T
-    cx, sx, cy, sy, cz, sz = (g(a) for a in (roll, pitch, yaw) for g in (np.cos, np.sin))
-    r_nb = np.empty((len(t), 3, 3))  # Rz Ry Rx
-    r_nb[:, 0] = np.stack((cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx), axis=1)
-    r_nb[:, 1] = np.stack((sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx), axis=1)
-    r_nb[:, 2] = np.stack((-sy, cy * sx, cy * cx), axis=1)
+    r_nb = Rotation.from_euler("xyz", waves(0.9)).as_matrix()  # Rz Ry Rx
     skew = np.einsum("nji,njk->nik", r_nb, np.gradient(r_nb, 1e-3, axis=0))
     rate = np.stack((skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]), axis=1)
     place = waves(reach_m)

@@ -1,6 +1,7 @@
 """References come back from every table format, and from markers; what is missing is named."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -178,33 +179,20 @@ PLACE = np.column_stack((0.4 + 0.2 * np.sin(TIME), 1.1 + 0.1 * TIME, -0.3 + 0.05
 Y_UP = np.stack([TURNS.apply(one) + PLACE for one in CLUSTER], axis=1)
 
 
-def write(path, heads, points, *, gap=None, time=TIME):
-    points = points.copy()
-    if gap is not None:
-        points[gap] = np.nan
-    lines = [",".join(row) for row in heads]
-    for t, row in zip(time, points.reshape(len(points), -1), strict=True):
-        lines.append(",".join([f"{t:.6f}", *("" if np.isnan(x) else f"{x:.7f}" for x in row)]))
-    path.write_text("\n".join(lines) + "\n")
-    return path
-
-
-def named(stems, axes="xyz", joint="_"):
-    return [f"{stem}{joint}{axis}" for stem in stems for axis in axes]
-
-
 def test_markers_in_a_table_are_read_as_the_body_turned(tmp_path):
-    stems = ("LASI", "RASI", "LPSI", "RPSI")
-    heads = [["Time", *named(stems, "XYZ", " ")]]
-    file = write(tmp_path / "optics.csv", heads, Y_UP * 1e3, gap=(slice(40, 60), 2))
+    names = tuple(tuple(f"{stem} {axis}" for axis in "XYZ") for stem in ("LASI", "RASI", "LPSI", "RPSI"))
+    points = Y_UP * 1e3
+    points[40:60, 2] = np.nan  # an empty cell
+    table = pd.DataFrame(points.reshape(FRAMES, 12), index=pd.Index(TIME, name="Time"), columns=sum(names, ()))
+    table.to_csv(tmp_path / "optics.csv")
     columns = reference_map(
         time="Time",
         time_unit="s",
-        markers=tuple(tuple(named((stem,), "XYZ", " ")) for stem in stems),
+        markers=names,
         markers_unit="mm",
         up="y",
     )
-    reference = read_reference(file, columns)
+    reference = read_reference(tmp_path / "optics.csv", columns)
     assert reference.valid.all()
     true = TURNS.as_quat(scalar_first=True)  # from the first frame on, in a laboratory with y up
     levelled = quaternion_product(np.array([2.0**-0.5, 2.0**-0.5, 0.0, 0.0]), true)

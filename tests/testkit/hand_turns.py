@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 from undrift.frames import quaternion_product
 from undrift.record import Record, Reference
@@ -125,8 +125,5 @@ def upsampled(reference, sample_rate_hz):
     """The reference drawn on great arcs between its frames, at another rate."""
     n = int((reference.time[-1] - reference.time[0]) * sample_rate_hz)
     t = reference.time[0] + 0.37 / sample_rate_hz + np.arange(n - 1) / sample_rate_hz
-    k = np.searchsorted(reference.time, t, side="right") - 1
-    r = Rotation.from_quat(reference.q_nb, scalar_first=True)
-    share = (t - reference.time[k]) / (reference.time[k + 1] - reference.time[k])
-    q = r[k] * Rotation.from_rotvec((r[k].inv() * r[k + 1]).as_rotvec() * share[:, None])
+    q = Slerp(reference.time, Rotation.from_quat(reference.q_nb, scalar_first=True))(t)
     return Reference(time=t, q_nb=q.as_quat(scalar_first=True), name=reference.name)

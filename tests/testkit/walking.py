@@ -9,6 +9,7 @@ limb swings about the hip: forward within 0.38 of a stride, back within the rest
 """
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from testkit.plain_triad import plain_triad
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
@@ -106,16 +107,8 @@ def _smoothed(x, width):
     return np.convolve(np.pad(x, width, mode="edge"), window / window.sum(), "same")[width:-width]
 
 
-def orientation(roll, pitch, yaw):
-    """Return q_na of the segment."""
-    x, y, z = np.eye(3)
-    return quaternion_product(
-        turn_quaternion(z, yaw), quaternion_product(turn_quaternion(y, pitch), turn_quaternion(x, roll))
-    )
-
-
 def _record(t, angles, position, rng, q_ab, fine):
-    q = orientation(*angles)
+    q = Rotation.from_euler("xyz", np.stack(angles, axis=1)).as_quat(scalar_first=True)  # q_na, of roll, pitch and yaw
     push = np.gradient(np.gradient(position, t, axis=0), t, axis=0) + np.array([0.0, 0.0, GRAVITY])
     turn = quaternion_product(quaternion_conjugate(q[:-1]), q[1:])
     rate_a = 2.0 * turn[:, 1:] * np.sign(turn[:, :1]) / np.diff(t)[:, None]
