@@ -106,40 +106,21 @@ def test_truncated_codes_get_their_half_step_back_before_the_fit():
     sweep[:6000] = 0.0
     gyro = np.trunc(sweep + np.array([3.3, -2.3, 4.3]) + 2.0 * rng.standard_normal((n, 3)))
     record = Record(time=time, gyro=gyro * 0.061, gyro_unit="dps")
-    calibration = calibrate(
-        Session(kind="static", serial="", gravity_m_s2=9.81, records=(record,), stills=(Still(start=0, stop=6000),))
-    )
+    stills = (Still(start=0, stop=6000),)
+    session = Session(kind="static", serial="", gravity_m_s2=9.81, records=(record,), stills=stills)
+    calibration = calibrate(session)
     assert calibration.adc.gyro_rounding == "toward_zero"
-    plain = calibrate(
-        Session(kind="static", serial="", gravity_m_s2=9.81, records=(record,), stills=(Still(start=0, stop=6000),)),
-        settings=CalibrateSettings(identify_adc=False),
-    )
+    plain = calibrate(session, settings=CalibrateSettings(identify_adc=False))
     assert plain.adc is None
     truth = 0.061 * np.array([3.3, -2.3, 4.3])
     assert np.abs(calibration.gyro.offset - truth).max() < 0.2 * np.abs(plain.gyro.offset - truth).max()
 
 
-def rests_of(count, unit="rad/s"):
-    rng = np.random.default_rng(25)
-    shifts = 0.001 * rng.standard_normal((count, 3))
-    records = tuple(
-        Record(
-            time=np.arange(1000) / 100.0,
-            gyro=np.array([0.03, -0.02, 0.01]) + shift + 0.001 * rng.standard_normal((1000, 3)),
-            accel=np.array([0.0, 0.0, 9.81]) + 0.02 * rng.standard_normal((1000, 3)),
-            gyro_unit=unit,
-        )
-        for shift in shifts
-    )
-    return Session(kind="static", serial="", gravity_m_s2=9.81, records=records)
-
-
-@pytest.mark.parametrize("gyro", [None, "dps"])
-def test_recordings_with_other_sensors_or_units_are_refused(gyro):
-    alike = rests_of(3)
-    other = replace(alike.records[2], gyro=None) if gyro is None else replace(alike.records[2], gyro_unit=gyro)
+@pytest.mark.parametrize("change", [{"gyro": None}, {"gyro_unit": "rad/s"}])
+def test_recordings_with_other_sensors_or_units_are_refused(change):
+    records = (still_record(), replace(still_record(2000), **change))
     with pytest.raises(InputError, match="readings in one unit"):
-        calibrate(replace(alike, records=(*alike.records[:2], other)))
+        calibrate(Session(kind="static", serial="", gravity_m_s2=9.81, records=records))
 
 
 def saturated(session, at, axis=0, value=-32768.0):
