@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from testkit.command_line import Undrift
 from undrift.cli.app import run
 from undrift.io.formats import read_record, read_reference
 from undrift.io.reference import write_reference
@@ -80,12 +81,9 @@ def test_poses_move_the_device_of_a_file(tmp_path: Path, capsys: pytest.CaptureF
     ],
 )
 def test_what_cannot_be_simulated_is_refused_in_one_line(
-    words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    undrift: Undrift, words: list[str], message: str, tmp_path: Path
 ) -> None:
     (tmp_path / "d.json").write_text("{}")
     words = [str(tmp_path / "d.json") if word == "DEVICE" else word for word in words]
-    assert run(["simulate", *words, "-o", str(tmp_path / "r.csv")]) == 2
-    said = capsys.readouterr().err
-    assert message in said
-    assert said.count("\n") == 1
+    assert message in undrift.refused("simulate", *words, "-o", tmp_path / "r.csv")
     assert not (tmp_path / "r.csv").exists()
