@@ -6,6 +6,7 @@ import shlex
 import numpy as np
 import pytest
 
+from commands.test_calibrate_files import BOARD as MAP_OF_BOARD
 from testkit.data import data_path, show
 from undrift.io.formats import write_record
 from undrift.sim.device.presets import random_device
@@ -14,10 +15,6 @@ from undrift.sim.sessions import simulate_session
 NEXT = re.compile(r"^\s*Next: undrift (.+)$", re.MULTILINE)
 BOARD = "multipos_mpu9150/imu0.log.gz"
 WARM_UP = "thermal_mpu6050_warmup/Tempdata01-02-14.csv.gz"
-MAP_OF_BOARD = (
-    'sample_rate_hz = 100\nheader = false\ndelimiter = " "\ncolumns = { accel = [0, 1, 2], gyro = [3, 4, 5] }\n'
-    'units = { accel = "m/s2", gyro = "rad/s" }\n'
-)
 MAP_OF_WARM_UP = (
     'columns = { time = "Time", gyro = ["Gx", "Gy", "Gz"], accel = ["Ax", "Ay", "Az"], temp = "dTemp" }\n'
     'units = { time = "ms", gyro = "dps", accel = "g", temp = "degC" }\n'

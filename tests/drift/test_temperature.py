@@ -124,15 +124,13 @@ def test_what_no_thermal_fit_can_use_is_refused(raw, kind, words):
 # ---- real recordings: the SOURCE.md in the folder of each names origin and licence -----------------------------------------
 
 
-def warm_up(column, scale=None):
-    columns = column_map(time="Time", gyro=("Gx", "Gy", "Gz"), temp=column, time_unit="ms", gyro_unit="count",
-                        temp_unit="degC", temp_scale=scale)  # fmt: skip
-    return read_counted(data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz"), columns).record
-
-
 def test_real_warm_up_comes_back_from_whole_degrees():
     column = "dTemp"
-    record = warm_up(column, ChannelScale(1.0 / 340.0, 36.53))
+    columns = column_map(
+        time="Time", time_unit="ms", temp=column, temp_unit="degC", temp_scale=ChannelScale(1.0 / 340.0, 36.53),
+        gyro=("Gx", "Gy", "Gz"), gyro_unit="count",
+    )  # fmt: skip
+    record = read_counted(data_path("thermal_mpu6050_warmup", "Tempdata01-02-14.csv.gz"), columns).record
     fine = trusted_temperature(of(record), 0)
     off = float(np.sqrt(np.mean((fine.temp_c - record.temp_c) ** 2)))
     first = record.time < record.time[0] + 120.0
