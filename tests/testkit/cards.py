@@ -4,6 +4,7 @@
 table of a simulated bench, in the bench's time: whole runs go through a driver and over its wire.
 """
 
+import abc
 import math
 import re
 
@@ -14,7 +15,7 @@ from undrift.sim.servo import Servo
 # ---- Galil
 
 
-class Controller:
+class Controller(abc.ABC):
     """What answers commands, and can be told to answer badly."""
 
     def __init__(self) -> None:
@@ -26,8 +27,9 @@ class Controller:
                 return answers.pop(0)
         return self.answer(command)
 
+    @abc.abstractmethod
     def answer(self, command: str) -> bytes | None:
-        raise NotImplementedError
+        """Return what follows a command on the line."""
 
 
 def turn(servo: Servo, way: float, speed: float, acceleration: float) -> None:
