@@ -7,8 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from undrift.cli.app import run
-
 
 @pytest.mark.parametrize(
     ("words", "text"),
@@ -18,16 +16,13 @@ from undrift.cli.app import run
         (["--upload-mb", "0"], "--upload-mb: expected more than 0, got 0"),
     ],
 )
-def test_a_call_that_would_open_the_bench_by_mistake_is_refused(
-    words: list[str], text: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    assert run(["bench", "--folder", str(tmp_path / "held"), *words]) == 2
-    assert text in capsys.readouterr().err
+def test_a_call_that_would_open_the_bench_by_mistake_is_refused(undrift, words: list[str], text: str, tmp_path: Path):
+    assert text in undrift.refused("bench", "--folder", tmp_path / "held", *words)
     assert not (tmp_path / "held").exists()
 
 
 @pytest.mark.slow
-def test_a_port_in_use_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_port_in_use_is_named(undrift, tmp_path: Path) -> None:
     called = [sys.executable, "-m", "undrift", "bench", "--port", "0", "--no-browser", "--token", "none"]
     with subprocess.Popen(
         [*called, "--folder", tmp_path / "bench"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
@@ -35,9 +30,9 @@ def test_a_port_in_use_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[st
         assert server.stdout is not None
         port = re.findall(r":(\d+)/", server.stdout.readline())[0]
         try:
-            assert run(["bench", "--folder", str(tmp_path / "other"), "--port", port, "--no-browser"]) == 2
+            line = undrift.refused("bench", "--folder", tmp_path / "other", "--port", port, "--no-browser")
         finally:
             server.terminate()
             assert "The bench has ended." in server.stdout.read()
             assert server.wait(20.0) == 0
-    assert f"bench: cannot listen at 127.0.0.1:{port} (Address already in use)" in capsys.readouterr().err
+    assert f"bench: cannot listen at 127.0.0.1:{port} (Address already in use)" in line

@@ -49,18 +49,17 @@ def test_run_and_calibrate_find_the_devices_hidden_parameters(tmp_path, capsys):
             np.testing.assert_allclose(ratio, np.eye(3), atol=3e-3)
 
 
-def test_check_accepts_a_table_by_its_limit(capsys):
-    call = ["rig", "check", "--rig", "simulated:?clock_speed=1e6", "--seconds", "4", "--json"]
-    assert run(call) == 0
-    found = json.loads(capsys.readouterr().out)
+def test_check_accepts_a_table_by_its_limit(undrift):
+    call = ("rig", "check", "--rig", "simulated:?clock_speed=1e6", "--seconds", "4", "--json")
+    found = undrift.good(*call).json()
     assert found["kind"] == "undrift.rig_check"
     (error,) = found["tables"]["following_error_deg"]
     assert 0.0 < error["rms"] < error["largest at steady rate"] < error["limit"] == pytest.approx(0.012)
     servo = found["data"]["servo"]
     assert (servo["kp"], servo["ki"], servo["kd"]) == (12.5, 0.0, 245.0)
-    assert run([*call, "--limit-deg", "0.0001"]) == 1
-    failed = json.loads(capsys.readouterr().out)
-    assert failed["verdict"] == "bad"
+    answer = undrift(*call, "--limit-deg", "0.0001")
+    failed = answer.json()
+    assert (answer.code, failed["verdict"]) == (1, "bad")
     assert [item["code"] for item in failed["findings"] if item["level"] == "fail"] == ["rig_check.error"]
 
 
@@ -81,23 +80,22 @@ def test_check_accepts_a_table_by_its_limit(capsys):
         (["run", "p.toml", *SIMULATED[:3], "simulated:?color=red", "-o", "x"], "unknown option 'color'", 2),
     ],
 )
-def test_wrong_input_is_2_and_a_rig_that_is_not_there_is_3(words, message, code, capsys, tmp_path, monkeypatch):
+def test_wrong_input_is_2_and_a_rig_that_is_not_there_is_3(undrift, words, message, code, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "p.toml").write_text(PROTOCOL)
-    assert run(["rig", *words]) == code
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert message in err
-    assert err.count("\n") == 1
+    answer = undrift("rig", *words)
+    assert (answer.code, answer.out) == (code, "")
+    assert message in answer.err
+    assert answer.err.count("\n") == 1
 
 
-def test_without_a_yes_nothing_is_opened(capsys, tmp_path, monkeypatch):
+def test_without_a_yes_nothing_is_opened(undrift, tmp_path, monkeypatch):
     (tmp_path / "protocol.toml").write_text(PROTOCOL)
-    call = ["rig", "run", str(tmp_path / "protocol.toml"), "--rig", NOBODY, "--device", "tcp://127.0.0.1:9"]
+    call = ("rig", "run", tmp_path / "protocol.toml", "--rig", NOBODY, "--device", "tcp://127.0.0.1:9")
     for said in ("", "n\n"):
         monkeypatch.setattr(sys, "stdin", io.StringIO(said))
-        assert run([*call, "-o", str(tmp_path / f"run{len(said)}")]) == 2
-        assert "the start was not confirmed, and nothing moved" in capsys.readouterr().err
+        answer = undrift(*call, "-o", tmp_path / f"run{len(said)}")
+        assert (answer.code, "the start was not confirmed, and nothing moved" in answer.err) == (2, True)
 
 
 def test_devices_without_addresses_or_a_serial_of_their_own_are_refused(tmp_path):

@@ -1,26 +1,21 @@
 """``undrift simulate`` and ``undrift info device.json``: files out, figures said, calls refused in one line."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from testkit.command_line import Undrift
-from undrift.cli.app import run
 from undrift.io.formats import read_record, read_reference
 from undrift.io.reference import write_reference
 from undrift.sim.motion.poses import see
 from undrift.sim.motion.tasks import draw_task
 
 
-def test_a_task_and_a_preset_make_a_recording_with_its_truth(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_task_and_a_preset_make_a_recording_with_its_truth(undrift: Undrift, tmp_path: Path) -> None:
     out, truth, device = tmp_path / "r.parquet", tmp_path / "t.csv", tmp_path / "d.json"
-    words = ["simulate", "sit_to_stand", "--device", "enc03j_3031", "--draw", "-o", str(out), "--seed", "3", "--json"]
-    assert run([*words, "--truth", str(truth), "--save-device", str(device)]) == 0
-    said = json.loads(capsys.readouterr().out)
+    words = ("simulate", "sit_to_stand", "--device", "enc03j_3031", "--draw", "--seed", 3)
+    said = undrift.good(*words, "-o", out, "--truth", truth, "--save-device", device, "--json").json()
     record = read_record(out)
     assert said["data"]["samples"] == len(record)
     assert said["data"]["device"]["name"] == "enc03j_3031"
@@ -29,24 +24,22 @@ def test_a_task_and_a_preset_make_a_recording_with_its_truth(
     rows = {(row["effect"], row["unit"]): row for row in said["tables"]["contribution_of_each_effect_rms"]}
     assert rows["offset", "deg/s"]["x"] > 0.0
     again = tmp_path / "again.parquet"
-    assert run(["simulate", "sit_to_stand", "--device", "enc03j_3031", "--draw", "-o", str(again), "--seed", "3"]) == 0
+    assert "Contribution of each effect" in undrift.good(*words, "-o", again).out
     np.testing.assert_array_equal(read_record(again).gyro, record.gyro)  # type: ignore[arg-type]
-    assert "Contribution of each effect" in capsys.readouterr().out
-
-    assert run(["info", str(device), "--json"]) == 0
-    described = json.loads(capsys.readouterr().out)
+    described = undrift.good("info", device, "--json").json()
     assert described["data"]["kind"] == "device"
     effects = {row["effect"] for row in described["tables"]["device_model"] if row["part"] == "gyro"}
     assert {"scale", "low_pass", "warm_up", "adc"} <= effects
-    assert run(["info", str(device)]) == 0
-    assert "low_pass" in capsys.readouterr().out
+    assert "low_pass" in undrift.good("info", device).out
 
 
 @pytest.mark.parametrize("ending", ["parquet", "csv"])
-def test_a_truth_is_a_motion_that_is_replayed_with_its_accelerometer(tmp_path: Path, ending: str) -> None:
+def test_a_truth_is_a_motion_that_is_replayed_with_its_accelerometer(
+    undrift: Undrift, tmp_path: Path, ending: str
+) -> None:
     first, truth, again = tmp_path / "a.parquet", tmp_path / f"truth.{ending}", tmp_path / "b.parquet"
-    assert run(["simulate", "free", "--device", "mpu6050", "-o", str(first), "--truth", str(truth)]) == 0
-    assert run(["simulate", str(truth), "--device", "mpu6050", "-o", str(again), "--seed", "1"]) == 0
+    undrift.good("simulate", "free", "--device", "mpu6050", "-o", first, "--truth", truth)
+    undrift.good("simulate", truth, "--device", "mpu6050", "-o", again, "--seed", 1)
     one, two = read_record(first), read_record(again)
     assert read_reference(truth).position is not None
     assert len(two) == len(one) - 20  # poses are not believed for 0.1 s at either end
@@ -58,17 +51,16 @@ def test_a_truth_is_a_motion_that_is_replayed_with_its_accelerometer(tmp_path: P
     assert float(one.accel.std(axis=0).min()) > 500.0
 
 
-def test_poses_move_the_device_of_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_poses_move_the_device_of_a_file(undrift: Undrift, tmp_path: Path) -> None:
     poses, device, out = tmp_path / "poses.parquet", tmp_path / "d.json", tmp_path / "r.parquet"
     write_reference(see(draw_task("sit_to_stand", rng=np.random.default_rng(1)), rng=np.random.default_rng(2)), poses)
-    first = ["simulate", "free", "--device", "bmi160", "-o", str(tmp_path / "x.csv"), "--save-device", str(device)]
-    assert run(first) == 0
-    assert run(["simulate", str(poses), "--device", str(device), "-o", str(out), "--temp-c", "30"]) == 0
+    undrift.good("simulate", "free", "--device", "bmi160", "-o", tmp_path / "x.csv", "--save-device", device)
+    answer = undrift.good("simulate", poses, "--device", device, "-o", out, "--temp-c", 30)
     record = read_record(out)
     assert len(record) > 1000
     gaps = int(np.isnan(record.gyro[:, 0]).sum())  # type: ignore[index]
     assert gaps > 0  # the cameras lost the body for 0.2 s, twice
-    assert f"{gaps} samples are gaps" in capsys.readouterr().out
+    assert f"{gaps} samples are gaps" in answer.out
 
 
 @pytest.mark.parametrize(
