@@ -138,7 +138,7 @@ def commands() -> dict[str, str]:
     rows = "\n".join(f"| [`undrift {name}`](command-{name}.md) | {text} |" for name, text in COMMANDS.items())
     toc = "\n".join(f"command-{name}" for name in COMMANDS)
     pages["commands.md"] = (
-        "# Commands\n\nEach page is generated from the command, and `undrift COMMAND --help` prints the same.\n\n"
+        "# Commands\n\nEach page is generated from the command, and `undrift COMMAND --help` prints the same text.\n\n"
         f"| command | does |\n|---|---|\n{rows}\n\n"
         "Every command also has these options:\n\n"
         "| option | effect |\n|---|---|\n"
@@ -169,7 +169,7 @@ def keys() -> str:
 
     parts = [
         "# Keys of every file\n\nThese tables are generated from the models that check the files.\n"
-        "[Files](../files.md) explains them.\nAn unknown key is an error."
+        "[Files](../files.md) explains the files.\nAn unknown key is an error."
     ]
     for title, *sources in (
         (
@@ -194,8 +194,8 @@ def keys() -> str:
                 f"### {name}\n\n{about}| key | type | default | meaning |\n|---|---|---|---|\n" + "\n".join(rows)
             )
     parts.append(
-        '## calibration.json\n\nThe JSON Schema: <a href="../calibration.schema.json">calibration.schema.json</a>. A key with the mark '
-        "opt. may be left out."
+        '## calibration.json\n\nThe JSON Schema is <a href="../calibration.schema.json">calibration.schema.json</a>. A key with the '
+        "mark opt. can be left out."
     )
     schema = schema_of(Calibration)
     for name, held in {"(the file)": schema, **schema["$defs"]}.items():
@@ -394,7 +394,7 @@ def _exported() -> dict[str, list[str]]:
 def api() -> str:
     """Return the page of the exported names, in flow order; names of a new module get a heading of their own."""
     parts = [
-        "# Python API\n\nEvery name of `undrift.__all__`, in the order of the flow. [From Python](../python.md) shows them at work."
+        "# Python API\n\nEvery name of `undrift.__all__`, in the order of the flow. [From Python](../python.md) has examples."
     ]
     for module, names in _exported().items():
         title = STAGES.get(module, module)

@@ -109,9 +109,9 @@ def poses() -> Table:
             residuals[method].append(float(np.sqrt(np.mean(np.concatenate(misses) ** 2)) / MG))
     raw = [float(np.sqrt(np.mean(length_error(r, found_poses(r), None) ** 2)) / MG) for r in map(poses_of, names[:3])]
     return Table(
-        name="poses", title="Free poses by hand: length of gravity in poses left out", unit="mg",
-        what="Fitted without a fifth of the poses, judged on that fifth, each in turn; rms. The three MPU-9150 also as read (mean "
-        f"{np.mean(raw):.1f} mg).",
+        name="poses", title="Free poses by hand: magnitude of gravity in poses left out", unit="mg",
+        what="Each fifth of the poses is left out of the fit in turn. The error is the rms over the left-out poses. The raw "
+        f"readings of the three MPU-9150 have a mean error of {np.mean(raw):.1f} mg.",
         source="imu-calib (Mikov et al., ICINS 2020, MIT) and imu_tk (Tedaldi et al., ICRA 2014, BSD)", recordings=names,
         rows=[Row(method=method, values=values, tuned=NOTHING) for method, values in residuals.items()],
     )  # fmt: skip
@@ -130,8 +130,8 @@ def certificate() -> Table:
     ours = 1.0 / np.concatenate([np.diag(model.matrix) for model in (fit.accel.model, fit.gyro.model)])
     return Table(
         name="certificate", title="Free poses by hand: scale factors against the maker's certificate (Xsens MTi)", unit="%",
-        what="Size of the difference, accelerometers and gyroscopes x, y, z. The certificate states accelerometers to 0.2 %, "
-        "gyroscopes to 0.02 %.",
+        what="The values are absolute differences, for accelerometers and gyroscopes x, y, z. The certificate gives scale factors "
+        "to 0.2 % for accelerometers and to 0.02 % for gyroscopes.",
         source="imu_tk (Tedaldi et al., ICRA 2014, BSD)",
         recordings=[f"{sensor} {axis}" for sensor in ("accelerometer", "gyroscope") for axis in "xyz"],
         rows=[
@@ -192,9 +192,9 @@ def six_faces() -> Table:
         misses = np.linalg.norm((further - offset) @ matrix.T, axis=1) / STANDARD_GRAVITY - 1.0
         rows.append(Row(method=method, values=list(1e3 * np.abs(misses)), tuned=NOTHING))
     return Table(
-        name="six-faces", title="Six faces: length of gravity in five further poses (MPU-6050)", unit="mg",
-        what=f"The board sits {lean:.0f} deg askew on the frame, which undrift's verdict calls bad. imucal is given three "
-        "perfect turns, as it wants some.",
+        name="six-faces", title="Six faces: magnitude of gravity in five further poses (MPU-6050)", unit="mg",
+        what=f"The board is mounted {lean:.0f} deg askew on the frame, so the verdict of undrift is bad. imucal also receives "
+        "three perfect turns, because it requires turns.",
         source="robot.bicycle (Peterson 2013, BSD)", recordings=list(FURTHER), rows=rows,
     )  # fmt: skip
 
@@ -238,7 +238,7 @@ def rate_table() -> Table:
             residuals[method].append(float(np.sqrt(np.mean(((measured - offset) / scale - commanded) ** 2))))
     return Table(
         name="rate-table", title="Rate table: error of the rates of a run, fitted to the other run", unit="deg/s",
-        what="Seven rates of 60 to 720 deg/s about y; rms. The logger of the LSM6 converts with a wrong sensitivity.",
+        what="The error is the rms over seven rates of 60 to 720 deg/s about y. The logger of the LSM6 uses a wrong sensitivity.",
         source="Rimu_Test_Jig (Schneider 2018, Apache-2.0)",
         recordings=[f"{'BNO055' if sensor == 'bno' else 'LSM6'} {run[10:]}" for sensor, run, _ in cases],
         rows=[Row(method=method, values=values, tuned=NOTHING) for method, values in residuals.items()],
@@ -287,8 +287,8 @@ def warm_up() -> Table:
             residuals.setdefault(name, []).extend(1e3 * rms)
     return Table(
         name="warm-up", title="Warm-up by 18 K: gyroscope offset in minutes left out (MPU-6050)", unit="mdeg/s",
-        what="Fitted to every other minute, judged on the ten-second means of the others; rms of each axis, both ways round. What "
-        "the codes and the noise make of ten seconds is in it.",
+        what="The curves are fitted to every other minute. The error is the rms of the ten-second means in the other minutes, for "
+        "each axis, and then with the minutes exchanged. It includes the noise and rounding of these means.",
         source="FreeIMU-Updates (2014, MIT)", recordings=[f"{axis}, {half} minutes" for half in ("odd", "even") for axis in "xyz"],
         rows=[
             Row(method=name, values=values, tuned=SIMULATED if name.startswith("undrift") else NOTHING)
@@ -308,7 +308,7 @@ def allan() -> Table:
     deviations["undrift"] = np.array([allan_deviation(column, 100.0, taus=list(taus)).deviation for column in rates.T])
     return Table(
         name="allan", title="Overlapping Allan deviation at rest, 449 s (MPU-6050)", unit="mdeg/s",
-        what="Not an error: programs must agree.", source="ImuCalibration (2026, MIT)",
+        what="These values are not errors: the programs must agree.", source="ImuCalibration (2026, MIT)",
         recordings=[f"{axis}, {tau:.0f} s" for axis in "xyz" for tau in taus],
         rows=[
             Row(method=name, values=[1e3 * float(v) for v in values.ravel()], tuned=NOTHING)

@@ -25,9 +25,9 @@ from undrift.units import STANDARD_GRAVITY
 from undrift.validation.trial import OffsetChoice, TrialSettings, validate_trial
 
 SOURCE = (
-    "BROAD, Laidig et al., Data 6(7), 72, 2021, CC BY 4.0: the eight trials at hand, two minutes each, three devices"
+    "BROAD, Laidig et al., Data 6(7), 72, 2021, CC BY 4.0: the eight available trials, two minutes each, three devices"
 )
-OPTICS, MOTION = "calibrated with optics, other trials", "calibrated from motion alone, other trials"
+OPTICS, MOTION = "calibrated with optics, other trials", "calibrated from motion only, other trials"
 # The result of leave-one-out includes the offset from the held-out trial's rest
 STEPS: tuple[tuple[str, OffsetChoice], ...] = (("as read", "none"), ("offset of the rest", "rest"), (OPTICS, "none"),
     (OPTICS, "motion"), (MOTION, "rest"), (MOTION, "motion"))  # fmt: skip
@@ -97,7 +97,7 @@ def tables() -> Iterator[Table]:
             name=name,
             title=f"{title} of two minutes of motion (BROAD)",
             unit="deg",
-            what="Error against the optics, median of three seconds after the motion.",
+            what="The error against the optics is the median of three seconds after the motion.",
             source=SOURCE,
             recordings=recordings,
             rows=[

@@ -62,7 +62,7 @@ def line(row: dict[str, Any]) -> list[str]:
 
 LEAST_SQUARES_TEXT = (
     "Priors and settings of undrift were chosen with simulations and with the trials of BROAD.",
-    "This table compares undrift with ordinary least squares on the same readings, which has no priors or settings and gives no intervals.",
+    "This table compares undrift with ordinary least squares on the same readings, which has no priors, settings or intervals.",
     "Calibration from motion only has no such rival, because least squares without a prior has no unique answer for it.",
     "The truth of both Ferraris rows is such a fit.",
 )
@@ -97,15 +97,17 @@ def page_table(content: dict[str, Any]) -> str:
     """Return the generated part of the page: the table, causes, limits and commands."""
     rows = content["rows"]
     table = ["| " + " | ".join(cells) + " |" for cells in (HEAD, ["---"] * len(HEAD), *map(line, rows))]
-    causes = [f"- {row['set']}, {row['task']}: {row['cause']}" for row in rows if row.get("cause")]
+    sets = [row["set"] for row in rows]
+    titles = [name if sets.count(name) == 1 else f"{name}, {row['task']}" for name, row in zip(sets, rows, strict=True)]
+    causes = [f"- {title}: {row['cause']}" for title, row in zip(titles, rows, strict=True) if row.get("cause")]
     parts = [f"Run on {content['made']}. {summary(rows)}", "", *table, "", "## Misses and their causes", "", *causes,
         "", "## Without priors, weights and settings", "", *LEAST_SQUARES_TEXT, "", *worth(rows),
         "", "## Limits, rivals and commands"]  # fmt: skip
     for row in rows:
         rivals = "; ".join(f"{name} {value:.3g} {row['unit']}" for name, value in row.get("rivals", {}).items())
         parts += ["", f"### {row['set']}: {row['task']}", "", f"- Truth: {row['truth']}",
-            f"- Limit: {row['limit']:g} {row['unit']}, written down on {row['date']}. {row['reason']}",
-            f"- Rivals: {rivals or 'none'}", "", "<!-- parsed: the recordings are not part of the package -->", "```sh",
+            f"- Limit: {row['limit']:g} {row['unit']}, set on {row['date']}. {row['reason']}",
+            f"- Rivals: {rivals or 'none'}", "", "<!-- parsed: needs the recordings -->", "```sh",
             *row["commands"], "```"]  # fmt: skip
     left = [f"- `{name}`: {why}" for name, why in content["left_out"].items()]
     return "\n".join([*parts, "", "## Sets without a row", "", *left]) + "\n"
