@@ -23,8 +23,6 @@ from undrift.sim.sessions import simulate_session
 from undrift.sim.thermal import ThermalSettings, simulate_thermal_session
 from undrift.units import STANDARD_GRAVITY
 
-# ---- What a session contains: the mean rate of its rests, and the pieces of one temperature
-
 # ---- mean of rests: its stated variance is the one that repeated experiments show
 
 

@@ -277,9 +277,6 @@ STO = ("makers", "opensim_sto_mot", "myComplexTasksTrial_orientations.sto")
 IMUS = "pelvis_imu, tibia_r_imu, femur_r_imu, tibia_l_imu, femur_l_imu, calcn_l_imu, calcn_r_imu"
 
 
-# ---- OpenSim
-
-
 def test_one_sensor_of_an_opensense_table_is_a_reference():
     path = data_path(*STO)
     poses = read_reference(path, labels=["femur_r_imu"])

@@ -42,9 +42,6 @@ def test_what_is_written_reads_back_under_any_name(tmp_path_factory, record, end
     assert_same(read_record(folder / "renamed.dat"), record)
 
 
-# header and sample sizes, start, end, and two samples of 16 bytes
-
-
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [

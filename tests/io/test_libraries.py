@@ -239,16 +239,11 @@ def test_a_nilspod_whose_samples_are_lost_says_how_many_and_one_that_disagrees_i
         read_record(path)
 
 
-# ---- all of them
-
-
 def test_a_library_that_is_missing_is_named_with_its_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyulog", None)
     with pytest.raises(InputError, match=r"pip install 'undrift\[formats\]'"):
         library("pyulog")
 
-
-# ---- axivity, GENEActiv and ActiGraph binaries
 
 WHOLE = ColumnMap(drop_bad_rows=True)
 
