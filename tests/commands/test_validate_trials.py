@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from testkit.trc_text import trc
-from undrift.cli.app import run
 from undrift.frames import rotate
 from undrift.io.formats import write_record
 from undrift.io.store import write_calibration
@@ -49,9 +48,8 @@ def folder(tmp_path_factory):
     return folder
 
 
-def test_people_by_tasks_from_files_to_a_page(folder, tmp_path, capsys):
-    assert run(["validate", str(folder), "--trials", "trials.csv", "-o", str(tmp_path / "out"), "--json"]) == 0
-    answer = json.loads(capsys.readouterr().out)["data"]
+def test_people_by_tasks_from_files_to_a_page(undrift, folder, tmp_path):
+    answer = undrift.good("validate", folder, "--trials", "trials.csv", "-o", tmp_path / "out", "--json").data()
     assert [trial["person"] for trial in answer["trials"]] == ["pp001", "pp001", "pp002", "pp002", "pp003", "pp003"]
     rows = {(row["group"], row["level"], row["method"]): row for row in answer["summaries"]}
     assert rows["all", "rest", "strapdown"]["mean_deg"] < 0.3
