@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from testkit.c_build import LAG_MAIN, TYPES, UNDEFINED, run_program
+from testkit.c_build import LAG_MAIN, TYPES, UNDEFINED, build
 from testkit.data import show
 from testkit.full_calibration import ROUNDINGS, device, record, tables, with_magnetometer
 from undrift.correction.correct import correct, correct_checked
@@ -53,7 +53,7 @@ def both(calibration, r, arithmetic, folder):
     kind = TYPES[arithmetic]
     inputs = np.column_stack((r.gyro, r.accel, r.temp_c, np.full(N, STEP_S))).astype(kind)
     row = np.dtype((kind, 6))
-    got = run_program(export_c(calibration), folder, arithmetic, inputs, row, main=REST_MAIN, options=UNDEFINED)[:, :3]
+    got = build(export_c(calibration), folder, arithmetic, *UNDEFINED, main=REST_MAIN).rows(inputs, row)[:, :3]
     return got, correct_checked(r, calibration).record.gyro, r
 
 
@@ -106,7 +106,7 @@ def test_magnetometer_corrects_as_python_does(arithmetic, limit, tmp_path):
     calibration, r = with_magnetometer(device(drift=None)), fields()
     done, kind = correct(r, calibration), TYPES[arithmetic]
     inputs, row = np.column_stack((r.mag_ut, done.gyro)).astype(kind), np.dtype((kind, 3))
-    got = run_program(export_c(calibration), tmp_path, arithmetic, inputs, row, main=MAG_MAIN, options=UNDEFINED)
+    got = build(export_c(calibration), tmp_path, arithmetic, *UNDEFINED, main=MAG_MAIN).rows(inputs, row)
     assert np.abs(done.mag_ut - r.mag_ut).max() > 5.0
     np.testing.assert_allclose(got, done.mag_ut, rtol=0.0, atol=limit)
 
@@ -148,7 +148,7 @@ def warming(nodes="searched", **changes):
 
 def run_since(exported, folder, arithmetic, inputs, options=("-O1",)):
     row = np.dtype([("out", TYPES[arithmetic], 12), ("status", "i4")])
-    rows = run_program(exported, folder, arithmetic, inputs, row, main=SINCE_MAIN, options=options)
+    rows = build(exported, folder, arithmetic, *options, main=SINCE_MAIN).rows(inputs, row)
     return rows["out"].astype(float), rows["status"]
 
 
@@ -229,7 +229,7 @@ def lagging(**changes):
 def test_wild_readings_and_steps_do_nothing_undefined(tmp_path):
     wild = np.array([0.0, np.inf, -np.inf, np.nan, 1e30, -1e30, 1e-30, 25.0], dtype="f4")
     inputs = np.random.default_rng(3).choice(wild, (4000, 8))
-    run_program(export_c(lagging()), tmp_path, "float", inputs, np.dtype(("f4", 7)), main=LAG_MAIN, options=UNDEFINED)
+    build(export_c(lagging()), tmp_path, "float", *UNDEFINED, main=LAG_MAIN).rows(inputs, np.dtype(("f4", 7)))
 
 
 def test_smoothing_that_does_not_fit_is_refused():

@@ -59,44 +59,34 @@ class Build:
         parts = inputs.astype(float)
         return parts[:, :3], parts[:, 3:6], parts[:, 6]
 
-    def __call__(self, inputs):
-        """Return gyro, accel and status of every row of inputs."""
+    def rows(self, inputs, row):
+        """Return what the program writes for inputs, as rows of a type."""
         done = subprocess.run([self.program], input=inputs.tobytes(), capture_output=True, check=True, timeout=120)
         assert done.stderr == b""
-        row = np.dtype([("out", TYPES[self.arithmetic], 6), ("status", "i4")])
         rows = np.frombuffer(done.stdout, row)
         assert len(rows) == len(inputs)
+        return rows
+
+    def __call__(self, inputs):
+        """Return gyro, accel and status of every row of inputs."""
+        rows = self.rows(inputs, np.dtype([("out", TYPES[self.arithmetic], 6), ("status", "i4")]))
         out = rows["out"].astype(float)
         return out[:, :3], out[:, 3:], rows["status"]
 
 
-def write(exported: ExportedC, folder: Path) -> None:
+def write(exported: ExportedC, folder: Path, main: str = MAIN) -> None:
     """Write both files and a program that reads samples and writes results."""
     (folder / "undrift.h").write_text(exported.header)
     (folder / "undrift.c").write_text(exported.source)
-    (folder / "main.c").write_text(MAIN)
+    (folder / "main.c").write_text(main)
 
 
-def build(exported: ExportedC, folder: Path, arithmetic: str, *options: str) -> Build:
+def build(exported: ExportedC, folder: Path, arithmetic: str, *options: str, main: str = MAIN) -> Build:
     """Compile an export, with warnings as errors."""
-    write(exported, folder)
+    write(exported, folder, main)
     program = folder / f"correct_{arithmetic}"
     sources = [folder / "undrift.c", folder / "main.c"]
     words = ["gcc", *STRICT, *(options or ("-O1",)), f"-DUNDRIFT_{arithmetic.upper()}", *sources, "-o", program]
     done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=False)
     assert (done.returncode, done.stderr) == (0, ""), done.stderr
     return Build(program, arithmetic)
-
-
-def run_program(exported: ExportedC, folder: Path, arithmetic: str, inputs, row, *, main: str, options=("-O1",)):
-    """Compile an export with a program of its own, and return what it writes for inputs, as rows of a type."""
-    write(exported, folder)
-    (folder / "main.c").write_text(main)
-    sources, program = [folder / "undrift.c", folder / "main.c"], folder / f"program_{arithmetic}"
-    words = ["gcc", *STRICT, *options, f"-DUNDRIFT_{arithmetic.upper()}", *sources, "-o", program]
-    subprocess.run(words, check=True)
-    done = subprocess.run([program], input=inputs.tobytes(), capture_output=True, check=True, timeout=120)
-    assert done.stderr == b""
-    rows = np.frombuffer(done.stdout, row)
-    assert len(rows) == len(inputs)
-    return rows
