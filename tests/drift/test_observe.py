@@ -71,7 +71,7 @@ def test_another_unit_and_a_corrected_record_are_refused():
     with pytest.raises(InputError, match="are in dps"):
         in_units_of(session(record(gyro_unit="dps")), COUNTS)
     corrected = record(gyro_unit="rad/s", accel_unit="m/s2", state="corrected")
-    with pytest.raises(InputError, match="recording 1 is corrected"):
+    with pytest.raises(InputError, match="recording 1 is already corrected"):
         in_units_of(session(record(), corrected), COUNTS)
 
 

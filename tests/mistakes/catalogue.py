@@ -281,7 +281,7 @@ for name, change, says in (
     ("turns the device slowly in a soak", in_session(turning_soak), "slow turn"),
 ):
     add("soaks", name, change, says)
-add("stated_soaks", "exchanges two set-points", in_stills(exchanged_set_points), "set-points in a wrong order")
+add("stated_soaks", "exchanges two set-points", in_stills(exchanged_set_points), "set-points in the wrong order")
 add(
     "ramp",
     "records one temperature only",
@@ -341,7 +341,7 @@ def write_other_format(folder: Path) -> None:
 
 ANOTHER_DEVICE = ("takes the calibration of another device", with_calibration(13), OTHER_DEVICE_SAYS)
 CORRECTED_TWICE = ("corrects a corrected recording again", with_edit(write_corrected, mapped=False), ALREADY_SAYS)
-WARMER = ("records at 45 degC, 20 K above the calibration", at_temperature(45.0), "departs by up to 20.1 degC")
+WARMER = ("records at 45 degC, 20 K above the calibration", at_temperature(45.0), "differs by up to 20.1 degC")
 plant(
     "correct",
     "ACCEL_YZ GYRO_XY NEGATED ACCEL_Z_REVERSED DPS_FOR_RAD RAD_FOR_DPS COUNTS_FOR_DPS G_FOR_SI MG_FOR_SI MG_FOR_G "

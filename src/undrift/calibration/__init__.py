@@ -1,7 +1,7 @@
 """Fit a Calibration to a Session: one file per procedure, each returning a fit with covariance, budget and verdict.
 
 In: a ``Session`` of raw recordings (N, 3) in the unit of the device. Its stills and turns are used as given, or detected. Motion
-calibrations need recordings only, with an orientation reference or without one.
+calibrations need only recordings, with or without an orientation reference.
 Out: a ``Calibration`` with a TriadModel for each triad, the rounding of the ADC, verdict and provenance.
 
     session                      stills, faces, turns and temperature of a session, and the result type of every fit
@@ -10,9 +10,9 @@ Out: a ``Calibration`` with a TriadModel for each triad, the rounding of the ADC
     rate_table, known_rotation   gyroscopes against steady rates and known angles (table: true axes and rates of a dwell)
     reference, reference_accel   both triads against the poses of a reference
     in_motion, magnetometer      both triads and the magnetometer in free motion
-    sources, codes               drift within a session, rounding to codes
+    sources, codes               drift within a session, and rounding to codes
     noise                        Allan variance of a device at rest
-    quality, plausibility        still rests and steady turns, implausible results
+    quality, plausibility        checks of rests and turns, and of implausible results
     triads                       agreement of gyroscopes and accelerometers on one motion
     settings                     settings of a fit
 

@@ -3,9 +3,9 @@
     accelerometer   six-face         rests on six faces, or on five that are labelled
                     multi-position   nine free poses or more
     gyroscope       rate-table       turns at a known rate about x, y and z
-                    known-rotation   turns by a known angle, given or found between rests
+                    known-rotation   turns by a known angle, given or detected between rests
                     multi-position   moves between nine rests or more
-                    rest             only the offset, if the readings are in a physical unit
+                    rest             offset only, if the readings are in a physical unit
 
 The first procedure that the session allows is used, unless the caller names another. Truncated readings are corrected by half a
 step before the fit, as ``correct`` does. If the session does not determine a parameter, a finding names a recording that does.
@@ -107,7 +107,7 @@ def calibrate(
     serial: str = "",
     settings: CalibrateSettings = CalibrateSettings(),
 ) -> Calibration:
-    """Calibrate a device from a session, or from recordings of it.
+    """Calibrate a device from a session, or from recordings of the device.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def calibrate(
     Raises
     ------
     NotObservable
-        The recordings do not allow the requested fit, or none at all.
+        The recordings do not allow the requested fit, or do not allow any fit.
     Implausible
         The data cannot come from this device.
     InputError
@@ -196,7 +196,7 @@ def calibrated(
     findings = [*other_temperatures, *_doubts(observed, accel_fit, gyro_fit), *accel_findings, *gyro_findings]
     models = dict[str, TriadModel]()
     kinds: tuple[Kind, Kind] = ("accel", "gyro")
-    visible = () if accel_fit is None else ("mounting",)  # gravity measures it
+    visible = () if accel_fit is None else ("mounting",)  # gravity measures the g-sensitivity
     for kind, fit in zip(kinds, (accel_fit, gyro_fit), strict=True):
         if fit is not None:
             models[kind] = fit.model
@@ -228,10 +228,10 @@ def _gravity_assumed(gravity_m_s2: float, level: Level) -> Finding:
 
 
 def _doubts(observed: Observed, accel: TriadFit | None, gyro: TriadFit | None) -> Iterator[Finding]:
-    """Yield findings about doubtful settings, about the pieces, and about quantities that no fit determines."""
+    """Yield findings about doubtful settings, about rests and turns, and about quantities that no fit determines."""
     latitude_deg = observed.settings.latitude_deg
     if latitude_deg is not None and LATITUDE_LIKE_RADIANS[0] < abs(latitude_deg) < LATITUDE_LIKE_RADIANS[1]:
-        as_degrees = f"{latitude_deg:g} rad are {latitude_deg / RADIAN_PER_DEGREE:.4g} deg"
+        as_degrees = f"{latitude_deg:g} rad is {latitude_deg / RADIAN_PER_DEGREE:.4g} deg"
         yield finding(
             "session.gravity", "warn", f"The latitude {latitude_deg:g} may be in radians: {as_degrees}.", GIVE_GRAVITY
         )
@@ -266,13 +266,13 @@ def find_pieces(session: Session, settings: CalibrateSettings) -> tuple[Session,
     return replace(session, stills=stills, turns=turns), () if turns else observed.plateaus()
 
 
-# ---- one triad: the fit that was named, or the first that the session allows
+# ---- one triad: the requested fit, or the first fit that the session allows
 
 
 def _calibrate_accel(
     observed: Observed, method: AccelFit | None, mode: Mode
 ) -> tuple[TriadFit | None, tuple[Finding, ...]]:
-    """Return the fit of the accelerometers. Without a fit, a finding contains the reason."""
+    """Return the fit of the accelerometers. If there is no fit, a finding gives the reason."""
     if all(record.accel is None for record in observed.session.records):
         if method is not None:
             raise NotObservable(f"accelerometer by {method}: no accelerometer readings. Map the accel columns.")
@@ -321,7 +321,7 @@ def _calibrate_gyro(
 def _no_scale(observed: Observed, accel: TriadFit | None, what: str, why: str = "") -> Finding:
     """Return a finding about gyroscopes without known turns.
 
-    Faces and poses are meant for the accelerometers, but full or steady turns were meant for the gyroscopes.
+    Faces and poses serve the accelerometers, but full or steady turns were recorded for the gyroscopes.
     """
     steady = 0 if observed.session.turns else len(observed.plateaus())
     full_turns = is_physical(observed.session.records[0].gyro_unit) and observed.turns_of(2.0 * np.pi)
@@ -343,11 +343,11 @@ def _choose_gyro_fit(observed: Observed, saturated: bool) -> GyroFit:
     return "multi-position" if with_force and len(observed.stills) >= MIN_FREE_POSES else "rest"
 
 
-# ---- where a calibration came from
+# ---- provenance of a calibration
 
 
 def _choices(observed: Observed, accel: str, gyro: str, mode: Mode | None) -> dict[str, object]:
-    """Return every setting that a fit used, and the parts of the session that it used."""
+    """Return every setting and every part of the session that a fit used."""
     session, settings = observed.session, asdict(observed.settings)
     faces = {still.face for still in observed.faced}
     return {
@@ -456,7 +456,7 @@ def calibrate_to_references(
 def _accel_by_reference(
     readings: Sequence[Record], references: Sequence[Reference], fit: ReferenceFit, gravity_m_s2: float
 ) -> tuple[TriadModel | None, tuple[Finding, ...]]:
-    """Return the accelerometers fitted to the references, or those that turn with the gyroscopes, and why they were not fitted."""
+    """Return the accelerometers fitted to the references. Otherwise, return nominal ones and the reason for it."""
     try:
         accel = fit_reference_accel(
             readings, references, mountings=fit.mountings, gravity_m_s2=gravity_m_s2, lags_s=fit.lags_s
@@ -467,7 +467,7 @@ def _accel_by_reference(
     return accel.model, accel.findings
 
 
-# ---- recordings in motion: nothing else
+# ---- recordings in motion only
 
 
 def calibrate_from_motion(
@@ -518,7 +518,7 @@ def from_motion(session: Session, *, magnetometer: bool = False) -> tuple[Calibr
     _check_raw(session.records)
     check_alike(session)
     stretches = [stretch for record in session.records for stretch in without_gaps(record)]
-    records = [unpadded(stretch) for stretch in stretches]  # rows that fill a file up look like a rest
+    records = [unpadded(stretch) for stretch in stretches]  # padding rows at the end of a file look like a rest
     findings = [item for pair in zip(stretches, records, strict=True) for item in padding(*pair)]
     findings += [item for record in records for item in check_triads(record)]
     assumed = session.gravity_source == "standard"

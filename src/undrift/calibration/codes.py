@@ -1,4 +1,4 @@
-"""Step of the codes of a converter, the kind of rounding, and the rounding error that remains in a mean.
+"""Step size and rounding of a converter's codes, and the rounding error that remains in a mean.
 
 The step q is the common divisor of the differences between readings. Readings in rad/s that were stored as a float are the same
 codes with float errors. Code 0 identifies the rounding: truncation toward zero maps (-q, q) to 0, a bin twice as wide as its
@@ -7,7 +7,7 @@ neighbours. With n(k) samples at code k and expected(0) the mean of n over codes
     ratio = n(0) / expected(0)          1 for nearest and floor, 2 for toward zero
 
 Nearest and floor differ by half a step everywhere, so the offset absorbs the difference. Only samples that sweep through zero are
-counted, because the density near code 0 is not level at rest.
+counted, because the density near code 0 is not uniform at rest.
 
 A reading x + n with normal n of variance s^2 is rounded to steps q. Its mean differs from x by sum_k q/(pi k) sin(2 pi k x / q)
 exp(-2 pi^2 k^2 s^2 / q^2). Q is the variance of this difference over all positions x between two codes. The readings themselves
@@ -32,11 +32,11 @@ from undrift.findings import Finding, finding
 from undrift.model import AdcModel, Rounding
 from undrift.record import Record
 
-MIN_CODES, MAX_CODES = 4, 200_000  # fewest different readings on a grid, and number of readings that are searched
+MIN_CODES, MAX_CODES = 4, 200_000  # smallest number of different readings on a grid, and largest that is searched
 MAX_GRID_MISS = 0.15  # largest distance of readings from the grid, in steps (files round to a tenth of a step)
-MAX_PHASE = 0.05  # in steps (a larger phase means that an offset was subtracted from the codes)
-FLOAT_DUST = 4.0 * float(np.finfo(np.float32).eps)  # relative to the largest reading: float rounding, not a step
-SIDE_CODES = 8  # codes on either side of zero that give its expected count
+MAX_PHASE = 0.05  # largest phase, in steps (a larger phase means that an offset was subtracted from the codes)
+FLOAT_DUST = 4.0 * float(np.finfo(np.float32).eps)  # relative to the largest reading: below this, float rounding
+SIDE_CODES = 8  # codes on either side of zero that determine its expected count
 SWEEP_SAMPLES, SWEEP_CODES = 5, 20  # a sample is in motion if the readings 5 before and 5 after differ by 20 codes
 MIN_SWEPT = 100  # samples in motion near code 0
 SUBTRACTED = "an offset was subtracted from the codes"
@@ -49,7 +49,7 @@ class CodeGrid:
 
     lsb: FloatArray | None  # (3,), step of each axis, unit of the readings, or None if the readings are not on a grid
     rounding: Rounding | None  # toward_zero, nearest (also used for floor), or None if not identifiable
-    reason: str = ""  # why the step or the rounding is not known
+    reason: str = ""  # reason why the step or the rounding is not known
 
 
 def identify_adc(values: FloatArray) -> CodeGrid:
@@ -65,7 +65,7 @@ def identify_adc(values: FloatArray) -> CodeGrid:
         return CodeGrid(lsb=steps, rounding=None, reason="fewer than two axes sweep through code 0")
     neighbours = counts_beyond.sum(axis=0)
     expected = float(neighbours.mean())
-    # a motion in step with the sampling beats Poisson's law
+    # motion synchronous with the sampling violates Poisson statistics
     uneven = max(1.0, float(neighbours.var(ddof=1)) / expected)
     ratio, sigma = float(counts[:, SIDE_CODES].sum()) / expected, float(np.sqrt(uneven / expected))
     deviation = ratio - np.array([1.0, 2.0])
@@ -94,7 +94,7 @@ def device_adc(records: Sequence[Record]) -> AdcModel | None:
 def unknown_rounding(records: Sequence[Record]) -> float:
     """Return the step of gyroscope codes on both sides of zero whose rounding is not known, unit of the readings, or 0.
 
-    If they are truncated toward zero, the offset of a rest on one side differs from that of motion on the other.
+    If the codes are truncated toward zero, the offset at rest on one side differs from the offset in motion on the other side.
     """
     readings = [record.gyro for record in records if record.gyro is not None]
     if not readings:
@@ -120,7 +120,7 @@ def code_grid(column: FloatArray) -> tuple[float, float]:
     gaps = np.diff(nodes)
     step = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
     origin = float(nodes[np.argmin(np.abs(nodes - np.median(nodes)))])
-    for reach in (8.0, 30.0, 120.0, 500.0, 2000.0, 8000.0, np.inf):  # a wider span gives a finer step
+    for reach in (8.0, 30.0, 120.0, 500.0, 2000.0, 8000.0, np.inf):  # a wider span determines the step more finely
         nearby = nodes[np.abs(nodes - origin) <= reach * step]
         codes = np.round((nearby - origin) / step)
         if len(nearby) > 3 and np.ptp(codes) > 0.0:
@@ -193,7 +193,7 @@ def _steps(values: Sequence[FloatArray]) -> FloatArray:
     steps = list[float]()
     for column in np.concatenate((np.empty((0, 3)), *values)).T:
         distinct = np.unique(column[np.isfinite(column)])
-        few = 1 < len(distinct) < MIN_CODES  # too few for a grid: the nearest two are a step apart
+        few = 1 < len(distinct) < MIN_CODES  # too few readings for a grid: the nearest two are a step apart
         steps.append(float(np.diff(distinct).min()) if few else code_grid(column)[0])
     return np.array(steps)
 
@@ -201,7 +201,7 @@ def _steps(values: Sequence[FloatArray]) -> FloatArray:
 def code_variance(step: FloatArray, scatter: FloatArray, windows: Sequence[FloatArray] = ()) -> FloatArray:
     """Return Q for steps q and variances S of single readings (3,), or 0 if the step is unknown.
 
-    Of readings at rest, ``windows`` (N, 3), those that toggle between two codes count with their limit.
+    Readings at rest, ``windows`` (N, 3), that toggle between two codes count with their limit.
     """
     scatter_variance = _NOISES**2 + 1.0 / 12.0 - _BIAS
     square = np.where(step > 0.0, step, np.inf) ** 2
@@ -212,7 +212,7 @@ def code_variance(step: FloatArray, scatter: FloatArray, windows: Sequence[Float
 
 
 def _toggling_share(window: FloatArray, step: FloatArray) -> FloatArray:
-    """Return (p - 1/2)^2 / 3 of readings (N, 3) that toggle between two codes, and 0 for other readings, (3,)."""
+    """Return (p - 1/2)^2 / 3 for readings (N, 3) that toggle between two codes, and 0 for other readings, (3,)."""
     codes = np.rint((window - window.min(axis=0)) / np.where(step > 0.0, step, np.inf))
     edge = np.floor(codes.mean(axis=0)) + 0.5
     toggling = (np.abs(codes - edge) < 1.0).mean(axis=0) >= TWO_CODES
@@ -242,7 +242,7 @@ def mean_rounding(values: Sequence[FloatArray], rests: Sequence[FloatArray]) -> 
 def limited_by_codes(
     triad: Literal["gyroscope", "accelerometer"], codes: FloatArray, variance: FloatArray, unit: str
 ) -> Iterator[Finding]:
-    """Yield a finding if rounding, of variance ``codes`` (3,), is most of a variance (3,): its error is not normal."""
+    """Yield a finding if rounding, with variance ``codes`` (3,), causes most of a variance (3,). Its error is not normal."""
     if (codes > MAX_SHARE * np.maximum(variance, 1e-300)).any():
         uncertainty = float(np.sqrt(codes.max()))
         yield finding(

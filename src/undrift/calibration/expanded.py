@@ -1,7 +1,7 @@
 """Expanded uncertainty of the parameters of a calibration, combined from the shares of its budget (JCGM 100).
 
     u^2 = sum_i u_i^2        shares u_i of the fit, which sum to the variance in the calibration's covariance
-    U   = 2 u                about 95 %: Student's factor of an excess variance is in its share already (fit/gls.py)
+    U   = 2 u                about 95 %: the share of an excess variance already includes Student's factor (fit/gls.py)
 
 Values are in units of the triad.
 """
@@ -26,17 +26,17 @@ class ParameterTable:
 
     names: tuple[str, ...]
     value: FloatArray
-    shares: Mapping[str, FloatArray]  # (P,) of each source
+    shares: Mapping[str, FloatArray]  # (P,), standard uncertainty by source
     standard: FloatArray  # combined standard uncertainty
     expanded: FloatArray  # U
 
     def of_block(self, block: str) -> list[int]:
-        """Return the numbers of the parameters of a block."""
+        """Return the indices of a block's parameters."""
         return [n for n, name in enumerate(self.names) if block_of(name) == block]
 
 
 def block_of(name: str) -> str:
-    """Return the block that a parameter belongs to."""
+    """Return the block to which a parameter belongs."""
     head, _, end = name.partition("_")
     return head if head != "m" else "scale" if end[0] == end[1] else "cross"
 

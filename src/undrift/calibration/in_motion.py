@@ -1,12 +1,12 @@
-"""Calibrate both triads from motion only: gravity in the strapdown's level frame must be one constant vector of its length.
+"""Calibrate both triads from motion only: in the level frame of the strapdown, gravity must be a constant vector of known length.
 
 ::
 
     w = M (u - o)    f = A (s - p)        readings u and s, matrices M and A, offset p of a device, offset o of a recording
     F(t) = R(t) f(t) = g u + a(t)         R by strapdown of w (errors of the means of F: fit/carried.py)
 
-No rest, rig or optics is needed. If a recording has a rest, its offset is the mean reading there, within the change from rest to
-motion. The prior expects elements of M and A near those of the identity. The fit widens each kind of element to suit the device.
+No rest, rig or optics is needed. If a recording has a rest, its offset is the mean reading at rest, within the change from rest to
+motion. The prior expects M and A to be near the identity. The fit widens each kind of element to suit the device.
 Elements that the motion does not determine keep the prior. Their uncertainty is that of data sheets, and a finding names them. The
 motion determines the rotation between the triads, but not their rotation in the case. A calibrated magnetic field
 (calibration/magnetometer.py) is a second direction that R must keep, and determines turns about the vertical.
@@ -34,22 +34,20 @@ from undrift.segments import BENCH_RATE_LIMIT, StillSettings, find_still
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
 LEAST_S, LEAST_DPS = 20.0, 5.0  # shortest recording, and smallest rms of its rates minus their mean
-BRIDGED_S = 0.05  # longest gap over which a line is near enough to the readings. Assumed.
+BRIDGED_S = 0.05  # longest gap over which linear interpolation is accurate enough. Assumed.
 # length of a stretch, s, in each step of the descent
 STAGES_S = (15.0, 15.0, 40.0, 40.0, 300.0, 300.0, 300.0, 300.0, 300.0)
-# rad/s: from rest to motion, from one recording to another, and zero-rate output of a raw device. Assumed.
+# rad/s, offset: change from rest to motion, change between recordings, and zero-rate output of a raw device. Assumed.
 MOVED, DAILY, RAW_RATE = 0.02 * RADIAN_PER_DEGREE, 0.1 * RADIAN_PER_DEGREE, 1.0 * RADIAN_PER_DEGREE
 # Ratio of the actual errors of simulated devices to the errors that the equations state. For gyroscopes it is 1.0, and 0.6 to 0.9
-# in ten real trials against fits to their optics.
+# in ten real trials compared with fits to their optics.
 WIDENED_ACCEL, WIDENED_OFFSET = 1.2, 1.5
-SCALES = np.array([0, 4, 8])  # places of the scale factors among the elements of a matrix
-QUIET_FLOORS = 3.5  # spread of a short rest, over that of the quietest window. Assumed.
-CONTRADICTED = (
-    3.0  # change of the offset from rest to motion, over its standard deviation, that a finding names. Assumed.
-)
-ONE_AXIS = 0.1  # smallest share of the rates about the main axis that counts as a turn about others. Assumed.
+SCALES = np.array([0, 4, 8])  # indices of the scale factors among the elements of a matrix
+QUIET_FLOORS = 3.5  # largest spread of a short rest, relative to the quietest window. Assumed.
+CONTRADICTED = 3.0  # change of the offset from rest to motion, in standard deviations, that is reported. Assumed.
+ONE_AXIS = 0.1  # smallest share of the rates about the main axis that counts as a turn about other axes. Assumed.
 NOT_GRAVITY = 1.0  # m/s2, largest acceleration in means over 5 s (walking 0.03, hands 0.1). Assumed.
-FIELD_SIZE = 0.01  # relative, by which the size of a corrected magnetic field may differ between means. Assumed.
+FIELD_SIZE = 0.01  # relative difference that the size of a corrected magnetic field may have between means. Assumed.
 
 
 # ---- prior knowledge about the matrices of a raw device
@@ -57,12 +55,12 @@ FIELD_SIZE = 0.01  # relative, by which the size of a corrected magnetic field m
 # t = T (M - I, A - I, p)      t_d ~ N(0, size^2 of each kind)      M, A and accelerometer offset p of a device d
 #
 # Each kind has three elements. Sizes are twice those published for 16 units of one part: scale factors 0.12 to 0.20 and 0.07 to
-# 0.14 %, symmetric cross-axis terms of 0.05 to 2.4 mrad, and 0.3 to 1.2 mrad between the triads. They count as known from a number
-# of elements: cross-axis terms from thirty, scale factors and offsets from six, since data sheets allow more. Assumed.
-# The estimate expects these sizes. Its uncertainty allows for the limits in data sheets.
+# 0.14 %, symmetric cross-axis terms of 0.05 to 2.4 mrad, and 0.3 to 1.2 mrad between the triads. A size counts as known from a
+# number of elements: thirty for cross-axis terms, six for scale factors and offsets, since data sheets allow more. Assumed. The
+# estimate expects these sizes. Its uncertainty allows for the limits in data sheets.
 
 FORCE_OFFSET = 0.3  # m/s2
-KINDS = {  # size, number of elements that it is known from, size that data sheets allow
+KINDS = {  # size, number of elements from which it is known, size that data sheets allow
     "gyro_scale": (0.004, 6.0, SCALE_FACTOR),
     "gyro_cross": (0.0028, 30.0, CROSS_AXIS),  # (m_ij + m_ji) / 2
     "accel_scale": (0.004, 6.0, SCALE_FACTOR),
@@ -76,7 +74,7 @@ NOMINAL = np.concatenate((np.eye(3).ravel(), np.eye(3).ravel(), np.zeros(3)))  #
 
 
 def _kinds() -> FloatArray:
-    """Return T (21, 21), from both matrices, row by row, and the offset to the kinds."""
+    """Return T (21, 21), which maps both matrices (row by row) and the offset to the kinds."""
     scale, cross, turn = np.zeros((3, 3, 9))
     for k, (i, j) in enumerate(((1, 2), (0, 2), (0, 1))):
         scale[k, 4 * k] = 1.0
@@ -101,7 +99,7 @@ class InMotion:
 
     gyro: TriadFit
     accel: TriadFit
-    offsets: FloatArray  # (R, 3), mean reading at zero rate over each recording, rad/s by its unit
+    offsets: FloatArray  # (R, 3), mean reading at zero rate over each recording, rad/s
     offset_uncertainty: FloatArray  # (R, 3), their standard uncertainty
     acceleration: FloatArray  # (R,), acceleration that a mean over 5 s still contains, rms, m/s2
 
@@ -115,12 +113,12 @@ class _Part:
     rate: FloatArray  # (N, 3), readings, rad/s
     force: FloatArray  # (N, 3), readings, m/s2
     moving: FloatArray  # (N,), 1 in motion and 0 at rest
-    rest: tuple[FloatArray, FloatArray] | None  # mean rate (3,), rad/s, and deviation of the offset in motion from it
+    rest: tuple[FloatArray, FloatArray] | None  # mean rate at rest (3,), rad/s, and expected change in motion
     mag: FloatArray | None  # (N, 3), magnetic field, scaled to the size of gravity
     stretches: list[tuple[slice, CarriedMeans, CarriedMeans]] = field(default_factory=list)  # gravity, field
 
     def cut(self, length_s: float) -> None:
-        """Cut the part into stretches of about a length, with default sizes of their errors."""
+        """Cut the part into stretches of roughly a given length, with default sizes of their errors."""
         count = max(1, round((self.time[-1] - self.time[0]) / length_s))
         if count != len(self.stretches):
             timed = [(span, self.time[span], self.moving[span]) for span in _spans(len(self.time), count)]
@@ -154,7 +152,7 @@ class _Part:
 
 
 def _spans(length: int, count: int) -> list[slice]:
-    """Return an array's length, cut into a number of equal slices."""
+    """Return equal slices that together cover the length of an array."""
     return [slice(*ends) for ends in pairwise(np.linspace(0, length, count + 1).astype(int))]
 
 
@@ -198,10 +196,10 @@ def fit_in_motion(
             right[place] += right_part
         covariance: FloatArray = np.linalg.inv(weighted.T @ rows + motion)
         x = x + covariance @ right
-        # the size of each kind of element is adapted to this device: its deviation, and the uncertainty of this
+        # the size of each kind of element is adapted to this device: its deviation, and the uncertainty of the deviation
         square = (TO_KINDS @ (x[:21] - NOMINAL)) ** 2 + np.diag(TO_KINDS @ covariance[:21, :21] @ TO_KINDS.T)
         sizes = np.sqrt((KNOWN_FROM * SIZE**2 + square.reshape(7, 3).sum(axis=1)) / (KNOWN_FROM + 3.0))
-        # a rest that the motion contradicts counts less, by the ratio of its miss to its standard deviation
+        # a rest that the motion contradicts gets less weight, by the ratio of its difference to its standard deviation
         if len(rest_spread):
             misses = (rows[rest_rows] @ x - value[rest_rows]) / rest_spread
             contradiction = float(np.sqrt((misses**2).mean()))
@@ -234,7 +232,7 @@ def without_gaps(record: Record) -> list[Record]:
 def _check(record: Record, where: str) -> None:
     """Raise InputError if a recording lacks a triad, is too short, is not in physical units, or has gaps."""
     if record.gyro is None or record.accel is None:
-        raise InputError(f"{where}: gyroscopes and accelerometers are needed, got one of them. Map both.")
+        raise InputError(f"{where}: gyroscopes and accelerometers are needed, but one triad is missing. Map both.")
     for unit, name, example in (
         (record.gyro_unit, "gyroscopes", 'gyro = "dps" in units, and scale = { gyro = { gain = 0.061 } }'),
         (record.accel_unit, "accelerometers", 'accel = "g" in units, and scale = { accel = { gain = 0.000061 } }'),
@@ -247,7 +245,7 @@ def _check(record: Record, where: str) -> None:
     gaps = int((~np.isfinite(np.hstack((record.gyro, record.accel)))).any(axis=1).sum())
     if gaps or record.duration_s < LEAST_S:
         got = f"{gaps} gaps (NaN)" if gaps else f"{record.duration_s:.3g} s"
-        raise InputError(f"{where}: {LEAST_S:g} s or more without gaps are needed, got {got}. Leave it out.")
+        raise InputError(f"{where}: {LEAST_S:g} s or more without gaps are needed, got {got}. Omit this recording.")
 
 
 def _parts(records: Sequence[Record], fields: Sequence[FloatArray | None], field_size: float) -> list[_Part]:
@@ -259,7 +257,7 @@ def _parts(records: Sequence[Record], fields: Sequence[FloatArray | None], field
         moving, rest = np.ones(len(record)), None
         for still in stills:
             moving[still.start : still.stop] = 0.0
-        if stills:  # a body that sways determines its rest offset less well
+        if stills:  # a swaying body determines its rest offset less well
             rates = gyro[stills[0].start : stills[0].stop]
             count = max(2, min(len(rates), round(len(rates) / (0.25 * record.sample_rate_hz))))
             means = [block.mean(axis=0) for block in np.array_split(rates, count)]
@@ -403,8 +401,7 @@ def _findings(x: FloatArray, covariance: FloatArray, contradiction: float) -> It
         yield finding(
             "motion.rest",
             "warn",
-            f"The gyroscope offset in motion differs from that at rest by {contradiction:.1f} times its usual change. The rest "
-            "counts less in the fit.",
+            f"The gyroscope offset changes from rest to motion by {contradiction:.1f} times the usual value. The rest counts less.",
             "Begin with 6 s in which the device lies still, then turn it by hand about all axes.",
             contradiction=contradiction,
         )

@@ -1,7 +1,7 @@
 """Calibrate gyroscopes from rests and a turn by a known angle about each axis, without a rate table.
 
-A turn about axis j by the angle t_j in the time T has the known mean rate t_j / T about j, whatever the rate was on the way. Its
-mean reading u and mean specific force f give rows of the same equations as a rate table. So do the means at rest.
+A turn about axis j by the angle t_j in the time T has the known mean rate t_j / T about j, however the rate varied during the turn.
+Its mean reading u and mean specific force f give rows of the same equations as a rate table. The means at rest give such rows too.
 
     paper      G from half the difference of opposite faces, b from the mean of all samples at rest, K from the turns [1]_
     affine     M u - c - G f = w + errors          M (3, 3), c = M o, G the g-sensitivity, w = 0 at rest
@@ -64,8 +64,8 @@ from undrift.model import AXES, TriadModel
 from undrift.record import Axis, Face, Record, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
-CONTRADICTION = 27.9  # chi-square of nine terms that chance exceeds in one session of a thousand
-MIN_NOISE = 1e-12  # relative to the largest reading, the arithmetic error of a mean
+CONTRADICTION = 27.9  # chi-square of nine terms that chance exceeds in one session in a thousand
+MIN_NOISE = 1e-12  # arithmetic error of a mean, relative to the largest reading
 
 # ---- means over rests and turns
 
@@ -74,15 +74,15 @@ MIN_NOISE = 1e-12  # relative to the largest reading, the arithmetic error of a 
 class RotationRows:
     """Means over P rests, then over R turns: E pieces."""
 
-    reading: FloatArray  # (E, 3), of the gyroscopes, ``unit``
+    reading: FloatArray  # (E, 3), mean gyroscope readings, ``unit``
     noise: FloatArray  # (E, 3), standard deviation of each mean
     force: FloatArray | None  # (E, 3), calibrated specific force, m/s2, or None without accelerometers
-    samples: FloatArray  # (P,), samples in each rest
+    samples: FloatArray  # (P,), number of samples in each rest
     faces: tuple[Face | None, ...]  # (P,), face that points up, or None for a rest in any pose
-    duration: FloatArray  # (R,), of each turn, s
+    duration: FloatArray  # (R,), duration of each turn, s
     axis: tuple[Axis, ...]  # (R,), of each turn
-    angle: FloatArray  # (R,), of each turn about +axis, rad
-    # (R, 3, 3), covariance of the integral by jitter of the clock, (unit s)^2
+    angle: FloatArray  # (R,), angle of each turn about +axis, rad
+    # (R, 3, 3), covariance of the integral due to clock jitter, (unit s)^2
     slip: FloatArray = field(default_factory=lambda: np.zeros((1, 3, 3)))
     span: FloatArray | None = None  # (E, 2), start and stop of each piece on one clock, s
     rounding: FloatArray = field(
@@ -138,7 +138,7 @@ def rotation_rows(
         pieces.append(piece)
         reading.append(weight @ gyro[finite])
         force.append(weight @ specific_force[finite])
-        spread.append(float(np.linalg.norm(weight)))  # standard deviation of the mean for readings with deviation one
+        spread.append(float(np.linalg.norm(weight)))  # standard deviation of the mean for unit readings
     rests = [piece for piece in pieces if isinstance(piece, Still)]
     every = [np.asarray(records[k].gyro) for k in {still.recording for still in rests}]
     return RotationRows(
@@ -191,7 +191,7 @@ def _sources(
     per_turn = rows.of_turns(angle / rows.duration[:, None, None] ** 2)
     code_groups = own.copy()  # All rests read the same code with the same error. Each turn has its own error.
     code_groups[:rests, :rests] = 1.0
-    # all turns about the same axis have a common tilt, from a fixture or an edge
+    # all turns about the same axis have a common tilt, due to a fixture or an edge
     leaning = np.einsum("ej,fj,jk->efk", rows.rate, rows.rate, 1.0 - np.eye(3))
     sources = {
         **noise_and_codes(matrix, noise**2, code_groups[:, :, None] * rows.rounding**2),
@@ -218,8 +218,8 @@ def fit_known_rotation(
 ) -> TriadFit:
     """Fit gyroscopes to rests and turns, with their g-sensitivity if there is an accelerometer.
 
-    Uncertainties of angle and axis are in rad. ``moves`` accepts the fit to the turns and returns the matrix from the moves. For an
-    axis without a turn, the column of M keeps the nominal scale factor, with cross-axis terms of ``cross_axis_prior``.
+    Uncertainties of angle and axis are in rad. ``moves`` is called with the fit to the turns and returns the matrix from the moves.
+    For an axis without a turn, the column of M keeps the nominal scale factor, with cross-axis terms of ``cross_axis_prior``.
     """
     turn_axes = _check_complete(rows, mode)
     matrix = first_table_matrix(rows.rate, rows.reading, turn_axes, rows.unit)
@@ -231,7 +231,7 @@ def fit_known_rotation(
         fitted, residuals = _closed_form(rows, sources, gravity)
     else:
         excess = walks_of(rows.span)
-        if len(rows.axis) > len(turn_axes):  # a single turn per axis does not reveal the scatter of the hand
+        if len(rows.axis) > len(turn_axes):  # a single turn per axis does not reveal the scatter of turns by hand
             excess["angle"] = rows.of_turns(np.repeat(rows.duration[:, None] ** -2, 3, axis=1)).ravel()
         prior = table_prior(matrix, turn_axes, rows.force is not None, rows.unit, cross_axis_prior)
         gls = solve_inverse(rows.reading, rows.rate, rows.force, matrix, sources, excess=excess, prior=prior)
@@ -268,7 +268,7 @@ def _closed_form(
     jacobian = np.eye(21)
     jacobian[:9, :9], jacobian[12:, :9] = inverse_jacobian(matrix), -np.kron(matrix, g.T)
     jacobian[12:, 12:] = np.kron(matrix, np.eye(3))
-    # errors e of the rows are K e of the readings
+    # errors e of the rows correspond to errors K e of the readings
     change = np.einsum("pe,ik->ipek", closed, forward[:, :3]).reshape(3, 7, -1)
     gains = jacobian @ np.vstack((change[:, :3].reshape(9, -1), change[:, 3], change[:, 4:].reshape(9, -1)))
     parts = {name: carried(gains, covariance) for name, covariance in sources.items()}
@@ -332,7 +332,7 @@ def _check_complete(rows: RotationRows, mode: Mode) -> list[int]:
     )
     if mode == "paper" and lacking:
         raise NotObservable(
-            "known rotation, mode paper: expected accelerometers, rests on all six faces and turns about x, y and z, got none for "
+            "known rotation, mode paper: accelerometers, rests on all six faces and turns about x, y and z are needed. Missing: "
             f"{', '.join(lacking)}. Record them.",
             missing=lacking,
         )
@@ -340,7 +340,7 @@ def _check_complete(rows: RotationRows, mode: Mode) -> list[int]:
 
 
 def _check_turns(forward: FloatArray, rows: RotationRows, turn_axes: list[int]) -> None:
-    """Raise if the axes of gyroscopes and turns disagree, or if a scale is far from the nominal scale of the unit."""
+    """Raise if gyroscope and turn axes disagree, or if a scale is far from the nominal scale of the unit."""
     if len(turn_axes) < 3:
         for k in turn_axes:
             check_reads_positive(forward[:, k], k)
@@ -384,7 +384,7 @@ def calibrate_turns(observed: Observed, mode: Mode, accel: TriadFit | None) -> T
         )
     model = None if accel is None else accel.model
     matrix, offset = (None, None) if model is None else (model.matrix, model.offset)
-    # a session may state rests on faces only, but rests beside the turns give moves
+    # a session may list rests on faces only, but rests next to the turns give moves
     rests = (*observed.stills, *observed.unused_stills((*observed.stills, *turns)))
     rows = rotation_rows(records, rests, turns, matrix=matrix, offset=offset)
     moves: Callable[[TriadParameters], tuple[TriadParameters, FloatArray]] | None = None
@@ -404,7 +404,7 @@ def calibrate_turns(observed: Observed, mode: Mode, accel: TriadFit | None) -> T
         moves=moves,
     )
     if model is not None:
-        # Full turns bring gravity back for any axes. Moves reveal gyroscope axes that differ from those of the accelerometer.
+        # Full turns restore gravity for any axes. Moves reveal gyroscope axes that differ from the accelerometer's axes.
         for record in records:
             findings += _check_by_gravity(record, fit.model, model)
     return fit.also(*findings)

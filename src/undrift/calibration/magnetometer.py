@@ -7,8 +7,8 @@
     h(t) = H (-cos d sin c(t), cos d cos c(t), sin d)
 
 R turns the case to level (filter without magnetometer). Its heading drifts, so north is at c(t), a random walk. G is the field
-gradient of the room and p the position of the sensor on the hand. G p changes with the attitude, and looks like iron unless it is
-fitted. Each recording has its own size H and inclination d of the field (d < 0 points down). Motion does not determine the size
+gradient of the room and p the position of the sensor on the hand. G p changes with the attitude, and is mistaken for iron unless it
+is fitted. Each recording has its own size H and inclination d of the field (d < 0 points down). Motion does not determine the size
 of a uT, so det A = 1.
 
 Errors e, turned to level, are white noise and the disturbance of the room, which is correlated over the angle that the device has
@@ -38,11 +38,11 @@ BLOCK_S, KNOT_S = 0.25, 2.0  # length of a mean, and distance between knots of c
 STRETCH_S, LEAST_S = 150.0, 20.0  # length of a stretch, and shortest recording
 # Soft iron: twice the usual 5 %. Hard iron: up to three times the field. Lag of a filter and a slow bus, s. Assumed.
 SOFT_IRON, HARD_IRON, LAG_S = 0.1, 3.0, 0.02
-HEADING_WALK = 0.3 * RADIAN_PER_DEGREE  # rad/sqrt(s), of calibrated gyroscopes. Assumed.
-PATH = 2.0  # rad, over which the disturbance of the place changes: of 0.5, 2 and 8, seven trials of BROAD choose this
-RESTING = 0.02  # rad/s, by which it changes at rest as well. Assumed.
+HEADING_WALK = 0.3 * RADIAN_PER_DEGREE  # random walk of the heading with calibrated gyroscopes, rad/sqrt(s). Assumed.
+PATH = 2.0  # angle over which the room's disturbance changes, rad: the best of 0.5, 2 and 8 in seven BROAD trials
+RESTING = 0.02  # equivalent rate at which the disturbance changes at rest, rad/s. Assumed.
 BETWEEN = 0.002  # difference of K and b over the field between recordings (larger in device B of BROAD)
-# uT: white noise, disturbance of the place, gradient times p. Usual sizes, within a factor of e^2. Assumed.
+# uT: white noise, disturbance of the room, gradient times p. Usual sizes, within a factor of e^2. Assumed.
 SIZES, SIZE_RANGE = np.log((0.3, 0.5, 0.3)), 2.0
 # gradients of a field without sources, symmetric and of trace zero, of length one
 GRADIENTS = np.zeros((5, 3, 3))
@@ -69,7 +69,7 @@ class _FieldStretch:
     turning: FloatArray  # (N, 3, 3), C
     level: FloatArray  # (N, 3, 3), R
     knots: FloatArray  # (N, J), weight of each knot
-    calm: BoolArray  # (N,), not disturbed
+    calm: BoolArray  # (N,), True if not disturbed
     local: FloatArray  # (17 + J,)
     sizes: FloatArray = field(default_factory=SIZES.copy)  # (3,), logarithms of standard deviations
 
@@ -100,7 +100,7 @@ class _FieldStretch:
         return np.concatenate(columns, axis=2)
 
     def leave_out(self, residual: FloatArray) -> None:
-        """Mark stretches in which size or inclination of the field are off, over a second."""
+        """Exclude stretches in which the size or inclination of the field, averaged over a second, is wrong."""
         h, dip_slope, _ = self.field()
         self.calm, size = np.ones(len(h), dtype=bool), float(np.exp(self.local[0]))
         for direction in (h, dip_slope):
@@ -111,7 +111,7 @@ class _FieldStretch:
             )
 
     def normal(self, rows: FloatArray, prior: FloatArray, *, sized: bool) -> tuple[FloatArray, FloatArray]:
-        """Return information and right side of K, b, l and the stretch. ``prior`` (13, 13) is used to estimate the sizes."""
+        """Return information and right side of K, b, l and the stretch. ``prior`` (13, 13) is used when the sizes are estimated."""
         steps = np.einsum("nij,nij->n", self.level[1:], self.level[:-1])
         angles = np.arccos(np.clip(0.5 * steps - 0.5, -1.0, 1.0)) + RESTING * np.diff(self.time)
         path = np.append(0.0, np.cumsum(angles))[self.calm]
@@ -142,9 +142,8 @@ class _FieldStretch:
 def fit_magnetometer(readings: Mapping[int, FieldReadings]) -> tuple[Magnetometer, tuple[Finding, ...]]:
     """Fit the magnetometer of a device to recordings in motion, and return it with findings.
 
-    ``readings`` contains for the number of each recording: time (N,), s, readings (N, 3), uT, with NaN for gaps, and orientation
-    (N, 4) from case to level, z up, with any heading. Raise InputError for short recordings, NotObservable if the device is not
-    turned.
+    ``readings`` maps the number of each recording to time (N,), s, readings (N, 3), uT, with NaN for gaps, and orientation (N, 4)
+    from case to level, z up, with any heading. Raise InputError for short recordings, NotObservable if the device is not turned.
     """
     stretches = [stretch for number, reading in readings.items() for stretch in _cut(number, *reading)]
     usual, k, b = _start(stretches)
@@ -161,8 +160,8 @@ def fit_magnetometer(readings: Mapping[int, FieldReadings]) -> tuple[Magnetomete
                 stretch.leave_out(rows[..., -1])
             if stretch.calm.sum() * BLOCK_S < LEAST_S or np.linalg.det(k) <= 0.0:
                 raise NotObservable(
-                    f"magnetometer, recording {stretch.recording + 1}: {LEAST_S:g} s or more are needed of a field that turns "
-                    "as the gyroscopes do. Check its columns, and move away from iron, cables and magnets."
+                    f"magnetometer, recording {stretch.recording + 1}: {LEAST_S:g} s or more of a field that turns as the "
+                    f"gyroscopes do are needed. Check its columns, and move away from iron, cables and magnets."
                 )
             total, right_part = stretch.normal(rows, prior, sized=number in SIZED)
             # the parameters of a stretch are eliminated, then the difference of K and b between recordings
@@ -228,9 +227,9 @@ def _cut(number: int, time: FloatArray, mag: FloatArray, q_nb: FloatArray) -> It
 
 
 def _start(stretches: list[_FieldStretch]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return K, the rotation from the gyroscope axes up to small angles (twice), and b, and set the field of the stretches.
+    """Return K, the rotation from the gyroscope axes up to small angles (twice), and b. Set the field of the stretches.
 
-    R A m = h + R A b is linear in A if h and A b are eliminated. Of the right-handed axes, the best are used.
+    R A m = h + R A b is linear in A if h and A b are eliminated. The best right-handed axes are used.
     """
     square, blocks = np.zeros((9, 9)), list[FloatArray]()
     for stretch in stretches:
@@ -254,7 +253,7 @@ def _start(stretches: list[_FieldStretch]) -> tuple[FloatArray, FloatArray, Floa
 
 
 def _findings(stretches: list[_FieldStretch], sigma: FloatArray, gyro_axes: FloatArray) -> Iterator[Finding]:
-    """Yield a heading that is uncertain with the axes that cause it, and the disturbed stretches of each recording.
+    """Yield findings about an uncertain heading, with the axes that cause it, and about disturbed stretches of each recording.
 
     ``sigma`` (13,) are the standard uncertainties. ``gyro_axes`` (3, 3) moves them to the axes of the gyroscopes.
     """

@@ -4,8 +4,8 @@
     m_k = o + H f_k + d_k                gyroscopes at rest: mean reading under the specific force f_k
     C_j(M, o + d_j, H) n_j = n_(j+1)     gyroscopes, over the moves j between the poses
 
-A common rotation of all readings keeps their length, so three of twelve parameters are a choice of axes. The z axis of the sensor
-is the z axis of the case, and its y axis is in the y-z plane of the case.
+A common rotation of all readings keeps their length, so three of the twelve parameters depend on the choice of axes. The z axis of
+the sensor is the z axis of the case, and its y axis is in the y-z plane of the case.
 
 C_j turns the body frame at the end of still j into the frame at the start of still j + 1. It is integrated from
 w = M (u - o - d_j - H f). n_j is the direction of gravity in still j, from the accelerometer. A move determines two angles. The
@@ -14,7 +14,7 @@ angle about the vertical is not observable. Generalised least squares (fit/gls.p
 d is the offset relative to its mean over the rests, and a source of error that rests and moves share. It consists of flicker and a
 steady drift of known size, a change with temperature, and a random walk with an excess variance. The offset in a move is therefore
 close to the offset of the rests next to it. Other sources are noise, codes, jitter of the clock and the calibration of the
-accelerometer. The hand adds an excess variance in rests, and another in moves.
+accelerometer. Handling adds one excess variance in rests and another in moves.
 """
 
 from collections.abc import Sequence
@@ -49,7 +49,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 # ---- free poses
 
-FEWEST_POSES = 7  # with a prior on cross-axis terms: scale, offset, and one pose to check them
+FEWEST_POSES = 7  # number of poses with a prior on cross-axis terms: for scale and offset, and one to check them
 ALIKE = 0.01  # largest relative difference between mean readings of the same pose
 
 
@@ -81,7 +81,7 @@ def fit_poses(
 
 
 def _pose_means(records: Sequence[Record], stills: Sequence[Still]) -> tuple[FloatArray, FloatArray]:
-    """Return mean readings (K, 3) and their variances, the noise pooled over the stills of a recording."""
+    """Return mean readings (K, 3) and their variances, with the noise pooled over the stills of a recording."""
     step = code_steps(records, rate=False)
     means, variances = np.zeros((2, len(stills), 3))
     for number, record in enumerate(records):
@@ -154,9 +154,9 @@ class Moves:
 
 
 def gravity_directions(moves: Moves, accel: TriadModel) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the direction of gravity in each still (K, 3), its derivatives (K, 3, 12), and its covariance (K, 3, 3) by noise.
+    """Return the direction of gravity in each still (K, 3), its derivatives (K, 3, 12), and its covariance (K, 3, 3) due to noise.
 
-    The derivatives are those by the accelerometer's m_xx .. m_zz and offset.
+    The derivatives are with respect to the accelerometer's m_xx .. m_zz and offset.
     n = a / |a| with a = M (u - o) of the mean reading, so dn = (1 - n n^T) / |a| da with da = dM (u - o) - M do + M du.
     """
     mean, variance, count = still_moments(moves.accel, moves.start, moves.stop)
@@ -199,18 +199,18 @@ def cross_matrix(n: FloatArray) -> FloatArray:
 
 # ---- fit of the gyroscopes
 #
-# Parameters theta, raw units: M row by row, o, and H row by row. Rows: three a rest, rad/s, then two a move, rad.
+# Parameters theta, raw units: M row by row, o, and H row by row. Rows: three per rest, rad/s, then two per move, rad.
 
-BLOCK_S = 0.2  # over which gravity turns little, and noise averages out
+BLOCK_S = 0.2  # block length over which gravity turns little and noise averages out
 WEAKEST_TURN = 0.05  # smallest rms turn of gravity, rad, per unit of relative gain (random turns of 90 deg give 0.4)
 FEWEST_MOVES = 5
 MOST_STEPS, WHOLE_STEPS, CONVERGED = 40, 8, 1e-6  # Gauss-Newton steps and relative change of the matrix
-TURNING = 8.0  # median deviations: a still that reads more turns about the vertical
-LEAST_ANGLE = 1e-10  # rad, standard deviation that every angle has at least
+TURNING = 8.0  # median deviations: a still with a larger reading turns about the vertical
+LEAST_ANGLE = 1e-10  # smallest standard deviation of an angle, rad
 LEAST_RATE = 1e-3  # smallest standard deviation of a rest, relative to the flicker
 LOOSE = 1e-4  # weight of the turns by known angles in the fit to the moves
-CONTRADICTS = 0.5  # largest relative change of the matrix from the turns (more indicates other axes or another clock)
-HOPELESS_DEG = 20.0  # rms angle beyond which the moves do not belong to this gyroscope
+CONTRADICTS = 0.5  # largest relative change of the matrix from the turns (more indicates other axes or clocks)
+HOPELESS_DEG = 20.0  # rms angle above which the moves do not belong to this gyroscope
 MORE_TURNS = "Make more and larger turns between the poses."
 MISS_DEG = (2.0, 8.0)  # limits of a verdict: marginal above the first, bad above the second
 
@@ -230,14 +230,14 @@ class _Problem:
         self.size = float(np.cbrt(abs(np.linalg.det(matrix)) + 1e-18 * np.abs(matrix).max() ** 3))  # rad/s per raw unit
         if not self.size > 0.0:
             raise NotObservable(
-                f"multi-position gyro: in {len(moves.first)} moves between stills the gyroscopes read nothing but their offset. "
+                f"multi-position gyro: in {len(moves.first)} moves between stills the gyroscopes read only their offset. "
                 "Check the gyroscope's columns, and turn the device by 90 deg or more about another axis between still poses.",
                 moves=len(moves.first),
             )
         reading, self.noise, count = still_moments(moves.gyro, moves.start, moves.stop)
-        step = code_steps(records, rate=True)  # (3,), of the codes, NaN for none
+        step = code_steps(records, rate=True)  # (3,), step of the codes, NaN without steps
         distance = np.abs(reading - np.median(reading, axis=0))
-        # coarse codes may be equal in most rests, and a step off in the others
+        # coarse codes may be equal in most rests, and differ by a step in the others
         limit = np.maximum(TURNING * np.maximum(np.median(distance, axis=0), 1e-12), np.nan_to_num(step))
         rests = np.flatnonzero(np.all(distance <= limit, axis=1))
         self.reading = reading[rests]  # (R, 3), means of the rests, and their variance
@@ -249,11 +249,12 @@ class _Problem:
         clock = np.concatenate(([0.0], np.cumsum(np.diff(moves.time).clip(0.0))))  # s, with recordings in sequence
         span = clock[np.column_stack((np.append(moves.start[rests], moves.first), last - 1))]
         about_mean = np.eye(len(span)) - (np.arange(len(span)) < len(rests)) / len(rests)
-        # (R + J, R + J), covariance of the offset about its mean over the rests, (rad/s)^2, and of a walk of 1 rad/s/sqrt(s)
+        # (R + J, R + J), covariance of the offset about its mean over the rests, (rad/s)^2, and covariance of a walk of 1
+        # rad/s/sqrt(s)
         flicker = GYRO_FLICKER**2 * flicker_of_means(span) + REST_DRIFT**2 * steady_drift(span)
         self.flicker, self.walk = carried(about_mean, flicker), carried(about_mean, walk_about_mean(span.mean(axis=1)))
         windows = [slice(first, last + 1) for first, last in zip(moves.first, moves.last, strict=True)]
-        # (J, 3, 3), covariance of the integral of each move by jitter of its time stamps, (raw unit s)^2
+        # (J, 3, 3), covariance of the integral of each move due to jitter of its time stamps, (raw unit s)^2
         self.slip = np.array([slip_covariance(moves.time[window], moves.gyro[window]) for window in windows])
         steady = Creep(warmth=np.zeros(len(reading)), offset_per_k=0.0, scale_per_k=0.0)
         self.creep = creep or (steady, steady)  # creep of accelerometers and gyroscopes in the stills
@@ -267,9 +268,9 @@ class _Rows(NamedTuple):
 
     misfit: FloatArray  # (E,)
     design: FloatArray  # (E, 21)
-    by_offset: FloatArray  # (E, 3 R + 3 J), by the offset in each rest and move, rad/s
-    by_still: FloatArray  # (E, 3 K), by the direction of gravity in each still
-    by_integral: FloatArray  # (E, 3 J), by the integral of the readings in each move
+    by_offset: FloatArray  # (E, 3 R + 3 J), derivative by the offset in each rest and move, rad/s
+    by_still: FloatArray  # (E, 3 K), derivative by the direction of gravity in each still
+    by_integral: FloatArray  # (E, 3 J), derivative by the integral of the readings in each move
 
 
 def fit_moves(
@@ -279,7 +280,7 @@ def fit_moves(
     *,
     creep: tuple[Creep, Creep] | None = None,
 ) -> TriadFit:
-    """Fit gyroscopes to the moves between still poses, in order of time. ``creep`` contains accelerometers and gyroscopes."""
+    """Fit gyroscopes to the moves between still poses, in order of time. ``creep`` is for accelerometers and gyroscopes."""
     moves = Moves(records, stills)
     if len(moves.first) < FEWEST_MOVES:
         raise NotObservable(
@@ -347,7 +348,7 @@ def _descend(problem: _Problem, matrix: FloatArray, turns: FloatArray | None = N
         try:
             fit = solve(rows.design, value, sources, excess=excess, prior=Prior(mean=mean, precision=tight))
         except np.linalg.LinAlgError:
-            if np.isfinite(rows.design).all():  # otherwise the descent ran away
+            if np.isfinite(rows.design).all():  # otherwise the descent diverged
                 _check_determined(rows.design[rests:, :9], theta[:9].reshape(3, 3))
             break
         change = np.abs(fit.theta - theta)[:9].max()
@@ -357,10 +358,10 @@ def _descend(problem: _Problem, matrix: FloatArray, turns: FloatArray | None = N
             return fit, rows
         if not change < 10.0 * problem.size:
             break
-        share = 1.0 if count < WHOLE_STEPS else 0.5  # excesses at the edge of zero may exchange their sizes for ever
+        share = 1.0 if count < WHOLE_STEPS else 0.5  # excess variances near zero may exchange their sizes forever
         theta = theta + share * (fit.theta - theta)
     raise PoorFit(
-        f"multi-position gyro: no matrix converged that turns gravity through {len(problem.moves.first)} moves. "
+        f"multi-position gyro: the fit found no matrix that explains how gravity turns in {len(problem.moves.first)} moves. "
         "Check the gyroscope's columns and the time column.",
         moves=len(problem.moves.first),
     )
@@ -401,7 +402,7 @@ def _rows(problem: _Problem, theta: FloatArray) -> _Rows:
 
 
 def _sources(problem: _Problem, rows: _Rows, theta: FloatArray) -> dict[str, FloatArray]:
-    """Return the covariance (E, E) of the rows by known source."""
+    """Return the covariance (E, E) of the rows for each known source."""
     from scipy.linalg import block_diag
 
     moves, (unit, accel_slopes, still_covariance), rests = problem.moves, problem.directions, problem.reading.size
@@ -414,7 +415,7 @@ def _sources(problem: _Problem, rows: _Rows, theta: FloatArray) -> dict[str, Flo
     # (rad/s)^2, mean of the axes
     sample = float((theta[:9].reshape(3, 3) ** 2 @ (problem.noise + problem.codes)).mean())
     readings = np.repeat(sample * moves.duration_s**2 / (moves.last - moves.first), 2) + LEAST_ANGLE**2
-    # each rest reads one rounding error, and motion turns rounding into noise
+    # each rest has one rounding error, and in motion rounding becomes noise
     rest_codes = np.zeros((len(rows.misfit), 3))
     rest_codes[:rests] = np.tile(problem.size * np.sqrt(problem.codes) * np.eye(3), (len(problem.reading), 1))
     return {
@@ -429,7 +430,7 @@ def _sources(problem: _Problem, rows: _Rows, theta: FloatArray) -> dict[str, Flo
 
 
 def _scale_slopes(problem: _Problem, rows: _Rows, theta: FloatArray) -> FloatArray:
-    """Return the change of the rows (E, 3) if a sensor's scale slopes over temperature by one standard deviation."""
+    """Return the change of the rows (E, 3) if the temperature slope of a sensor's scale is one standard deviation."""
     count = len(problem.reading)
     warmth = np.append(np.zeros(problem.reading.size), np.repeat(problem.warmth[count:], 2))
     sensor_rows = (rows.design[:, :9] * theta[:9]).reshape(-1, 3, 3).sum(axis=1)
@@ -463,12 +464,12 @@ def _check_determined(matrix_slopes: FloatArray, matrix: FloatArray) -> None:
 
 
 def _judge_triad(problem: _Problem, fit: GlsFit, rows: _Rows, unit_in: str) -> TriadFit:
-    """Return parameters as a fit with findings. Raise if they cannot describe this gyroscope."""
+    """Return the fit with findings. Raise if its parameters cannot describe this gyroscope."""
     moves, rests, theta = problem.moves, problem.reading.size, fit.theta
     rms_deg = _rms_deg(problem, rows)
     if rms_deg > HOPELESS_DEG:
         raise PoorFit(
-            f"multi-position gyro: gravity ends {rms_deg:.0f} deg rms off after the moves, the limit is {HOPELESS_DEG:g} deg. "
+            f"multi-position gyro: after the moves, gravity is {rms_deg:.0f} deg rms off (limit {HOPELESS_DEG:g} deg). "
             "Check that gyro and accel share one clock, that the sample rate is right and that no rate was beyond full scale.",
             rms_angle_deg=rms_deg,
         )

@@ -4,9 +4,9 @@
 
 N angle (velocity) random walk, B bias instability, K rate (acceleration) random walk, Q quantisation. Non-negative least squares
 fits their squares to the overlapping variances at octaves of tau. Each variance is weighted with half of its degrees of freedom,
-because octaves share their readings: all octaves together know no more than the shortest, 1/2 + 1/4 + 1/8 + ... = 1. Long averages
-of slow noise share more, and get less weight. A coefficient is not observable if its square is less than two standard errors above
-zero. It then has an upper limit only.
+because octaves share their readings: all octaves together contain no more information than the shortest, 1/2 + 1/4 + 1/8 + ... = 1.
+Long averages of slow noise share more, and get less weight. A coefficient is not observable if its square is less than two standard
+errors above zero. In this case, it only has an upper limit.
 """
 
 from collections.abc import Iterator, Sequence
@@ -31,19 +31,19 @@ from undrift.units import RADIAN_PER_DEGREE, is_physical
 #
 #     sigma^2 = mean D2(x)^2 / (2 tau^2)        over every k whose 2 m samples are all present
 #
-# The estimate of a variance is distributed as chi-square with ``edf`` equivalent degrees of freedom, by the kind of noise, which
-# is estimated from the slope of the curve at tau (Howe, Allan, Barnes, "Properties of signal sources and measurement methods",
-# 1981; Riley, NIST SP 1065, 2008, section 5.4.1). With gaps, edf is taken from a gapless record with as many differences.
+# The estimate of a variance is distributed as chi-square with ``edf`` equivalent degrees of freedom. They depend on the kind of
+# noise, which is estimated from the slope of the curve at tau (Howe, Allan, Barnes, "Properties of signal sources and measurement
+# methods", 1981; Riley, NIST SP 1065, 2008, section 5.4.1). With gaps, edf is taken from a gapless record with as many differences.
 
 LEAST_AVERAGES = 30  # averages from which the slope determines the kind of noise
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AllanDeviation:
-    """Deviation over averaging time, with confidence."""
+    """Deviation over averaging time, with confidence limits."""
 
     taus_s: FloatArray  # (M,), averaging times, s
-    deviation: FloatArray  # (M,), unit of the readings
+    deviation: FloatArray  # (M,), Allan deviations, unit of the readings
     lower: FloatArray  # (M,), confidence limits, unit of the readings
     upper: FloatArray
     edf: FloatArray  # (M,), equivalent degrees of freedom
@@ -61,7 +61,7 @@ def allan_deviation(x: ArrayLike, sample_rate_hz: float, *, taus: Sequence[float
     lengths = octaves if taus is None else np.unique(np.rint(np.asarray(taus, float) * sample_rate_hz))
     phase = np.concatenate(([0.0], np.cumsum(np.where(gap, 0.0, y - np.nanmean(y)))))
     missing = np.concatenate(([0], np.cumsum(gap)))
-    rows = list[tuple[int, int, float]]()  # m, number of second differences, their mean square
+    rows = list[tuple[int, int, float]]()  # m, number of second differences, and their mean square
     for m in lengths.astype(int).tolist():
         difference = phase[2 * m :] - 2.0 * phase[m:-m] + phase[: -2 * m]
         difference = difference[missing[2 * m :] == missing[: -2 * m]]
@@ -123,8 +123,8 @@ LONGER = 4  # factor of the record length: twice the averaging time with twice t
 MOST_DROP_OUTS = 0.1  # largest share of steps that are drop-outs in an evenly sampled record
 ROUNDS = 6  # iterations of the fit, whose weights follow from the model
 DEPARTURE = 0.1  # largest relative deviation of the variance from the model without a finding
-USUAL_WALK = (3e-4, 0.2)  # deg/s/sqrt(Hz), of boards, from the best to the oldest
-LEAST_HZ = 0.5  # noise of a board is recorded faster
+USUAL_WALK = (3e-4, 0.2)  # angle random walk of boards, from the best to the oldest, deg/s/sqrt(Hz)
+LEAST_HZ = 0.5  # lowest sample rate at which the noise of a board is recorded
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -146,7 +146,7 @@ class AxisNoise:
     angle_random_walk: NoiseCoefficient  # N (for an accelerometer: velocity random walk)
     bias_instability: NoiseCoefficient  # B
     rate_random_walk: NoiseCoefficient  # K (for an accelerometer: acceleration random walk)
-    quantization: NoiseCoefficient  # Q, of the angle (velocity)
+    quantization: NoiseCoefficient  # Q, quantisation of the angle (velocity)
     model_error: float  # share of the Allan variance by which the curve departs from the model
 
     def terms(self, taus_s: FloatArray, *, limits: bool = False) -> dict[str, FloatArray]:
@@ -161,8 +161,8 @@ class AxisNoise:
     def angle_uncertainty(self, tau_s: float) -> dict[str, float]:
         """Return the standard uncertainty of an angle by term, rad, if a gyroscope's offset is a mean over a rest.
 
-        The rest lasts tau as the motion, and ends where it begins. The two means differ by sqrt(2) sigma(tau), by definition of
-        the Allan deviation, so u = tau sqrt(2) sigma(tau). A term that is not observable counts with its upper limit.
+        The rest lasts tau, as long as the motion, and ends when the motion begins. The two means differ by sqrt(2) sigma(tau), by
+        definition of the Allan deviation, so u = tau sqrt(2) sigma(tau). A term that is not observable counts with its upper limit.
         """
         terms = self.terms(np.array([tau_s]), limits=True)
         return {name: float(tau_s * np.sqrt(2.0 * terms[name][0])) for name in _NAMES}
@@ -172,7 +172,7 @@ class AxisNoise:
 class NoiseFit(Shown):
     """Noise of a device at rest."""
 
-    gyro: tuple[AxisNoise, ...]  # three axes, or empty if the record has no such triad
+    gyro: tuple[AxisNoise, ...]  # one entry per axis; empty if the record has no such triad
     accel: tuple[AxisNoise, ...]
     gyro_unit: str  # rad/s and m/s2, or the unit of the readings if it is not a physical one
     accel_unit: str
@@ -180,7 +180,7 @@ class NoiseFit(Shown):
     verdict: Verdict  # terms that are not observable, and the necessary record length
 
     def facts(self) -> dict[str, str]:
-        """Return the rows of the value's table: what, and its value with unit."""
+        """Return the rows of the table of values: name, and value with unit."""
         rows = {"record": f"{self.duration_s:.4g} s"}
         for triad, terms in TERMS.items():
             for name, term in terms.items():
@@ -243,7 +243,7 @@ def _fit_triad(record: Record, name: str) -> tuple[AxisNoise, ...]:
 
 
 def _places(record: Record) -> IntArray:
-    """Return the place of each sample (N,) on an even clock with drop-outs."""
+    """Return the position of each sample (N,) on an even clock with drop-outs."""
     steps = np.diff(record.time) * record.sample_rate_hz
     over = steps > 1.5
     if len(record) < SHORTEST or over.mean() > MOST_DROP_OUTS:
@@ -255,10 +255,10 @@ def _places(record: Record) -> IntArray:
 
 
 def _check_rest(values: FloatArray, time: FloatArray, rate_hz: float, name: str, *, physical: bool) -> None:
-    """Raise if a channel is stuck, or if means over 0.1 s vary within a second by more than at rest."""
+    """Raise if a channel is stuck, or if means over 0.1 s vary more within a second than they do at rest."""
     deviation = values.std(axis=0)
     if (deviation == 0.0).any():
-        raise InputError(f"noise: {name} {AXES[int(np.argmin(deviation))]} has one value throughout. Check the column.")
+        raise InputError(f"noise: {name} {AXES[int(np.argmin(deviation))]} has a constant value. Check the column.")
     tenth = max(1, min(round(0.1 * rate_hz), len(values) // 30))
     means = values[: len(values) // (10 * tenth) * 10 * tenth].reshape(-1, 10, tenth, 3).mean(axis=2)
     motion = np.sqrt(means.var(axis=1).sum(axis=1))
@@ -282,10 +282,11 @@ def _shapes(tau: FloatArray) -> FloatArray:
 
 
 def _fit_axis(curve: AllanDeviation, axis: str, unit: str) -> AxisNoise:
-    """Fit an axis. The square of an observable coefficient is distributed as chi-square with 2 (square / error)^2 degrees."""
+    """Fit an axis. The square of an observable coefficient is chi-square distributed with 2 (square / error)^2 degrees of
+    freedom."""
     from scipy.optimize import nnls
 
-    # own variance over the square
+    # variance of the curve over its square
     measured, shapes, log_variance = curve.deviation**2, _shapes(curve.taus_s), 2.0 / curve.edf
     shared = np.where(curve.edf < FEW, SHARED_LONG, SHARED) * log_variance
     model, departure = measured, 0.0
@@ -332,7 +333,7 @@ def _unit_findings(record: Record, gyro: tuple[AxisNoise, ...]) -> Iterator[Find
 
 
 def _findings(triad: str, axes: tuple[AxisNoise, ...], record: Record) -> Iterator[Finding]:
-    """Yield the terms that are not observable, and a curve that departs from the model."""
+    """Yield findings about terms that are not observable, and about a curve that departs from the model."""
     for name, term in TERMS[triad].items():
         lost = tuple(axis.axis for axis in axes if getattr(axis, name).reason)
         if lost:

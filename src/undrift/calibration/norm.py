@@ -2,7 +2,7 @@
 
     |M (u - o)| = g + e
 
-Scaled so that every parameter is near one or of the size of g:
+The equation is scaled so that every parameter is near one or of the size of g:
 
     v = k (u - c)          c, k: sphere through the readings
     |M' (v - o')| = g      M = k M',  o = c + o' / k
@@ -20,9 +20,9 @@ the gains of the fit. The parameters cannot absorb L = N - X G N, and the residu
 
     C = (L' V^-1 L + I / s_q^2)^-1,   m = C L' V^-1 r
 
-V is the covariance of noise, temperature and excess, found beside q so that nothing is counted twice. If the residuals show more
-than s_q^2, that replaces it. So p is wrong by b = G N m, with a variance s^2 that contains G N C N' G'. The interval that holds for
-95 % of such errors is |b| + 1.645 s, or 1.96 u with::
+V is the covariance of noise, temperature and excess, estimated together with q so that nothing is counted twice. If the residuals
+show more than s_q^2, their value replaces it. Therefore p is wrong by b = G N m, with a variance s^2 that contains G N C N' G'. The
+interval that holds for 95 % of such errors is |b| + 1.645 s, or 1.96 u with::
 
     u = (|b| + 1.645 s) / 1.96            u^2 = s^2 + b^2 for b below s
 """
@@ -46,11 +46,11 @@ from undrift.units import STANDARD_GRAVITY, canonical_unit, is_physical, si_fact
 ROW, COLUMN = np.array([0, 0, 0, 1, 1, 2]), np.array([0, 1, 2, 1, 2, 2])  # indices of the six elements, as in p
 NAMES = (*(f"m_{AXES[i]}{AXES[j]}" for i, j in zip(ROW, COLUMN, strict=True)), *(f"offset_{axis}" for axis in AXES))
 CROSS = np.array([1, 2, 4])  # indices of m_xy, m_xz, m_yz in p
-SEEN = np.array([0, 1, 2, 4, 5, 8, 9, 10, 11])  # place of each p among m_xx .. m_zz, offset_x ..
+SEEN = np.array([0, 1, 2, 4, 5, 8, 9, 10, 11])  # position of each p among m_xx .. m_zz, offset_x ..
 WEAKEST = 0.02  # smallest rms change of length, in g, per unit of a determined parameter (random poses reach 0.25)
-KEPT = 0.3  # share of the prior deviation above which the poses did not determine a cross-axis term
+KEPT = 0.3  # share of the prior standard deviation above which a cross-axis term is not determined by the poses
 QUADRATIC_SD = 2e-4  # s_q, 1/(m/s2): MPU-6050, ICM-20948 and BMI160 state 0.5 % of the range, 2.5e-4 for 2 g
-# descent: steps, relative step at convergence, parameters that diverge
+# descent: number of steps, relative step at convergence, parameters at which it diverges
 MOST_STEPS, CONVERGED, FARTHEST = 100, 1e-8, 30.0
 ONE_SIDED_95 = 1.6448536269514722  # normal quantile
 ROUNDING = 1e-9  # smallest deviation of a length, relative to gravity
@@ -91,7 +91,7 @@ class NormFit:
 
     @property
     def kept(self) -> tuple[str, ...]:
-        """Cross-axis terms that keep their prior."""
+        """Return True for each cross-axis term that keeps its prior."""
         least = np.inf if self.prior_sd is None else (KEPT * self.prior_sd) ** 2
         return tuple(NAMES[i] for i in CROSS if self.covariance[i, i] > least)
 
@@ -113,9 +113,9 @@ def fit_norm(
 ) -> NormFit:
     """Fit matrix and offset to mean readings (K, 3) in still poses.
 
-    ``variances`` (K, 3) belong to the means. Without them, the residuals determine the noise. ``prior_sd`` is the prior standard
-    deviation of the cross-axis terms, if any. ``quadratic_sd`` is s_q, 1/(m/s2). Raise NotObservable if the poses do not determine
-    a parameter, and PoorFit if no linear sensor gives these readings.
+    ``variances`` (K, 3) are the variances of the means. Without them, the residuals determine the noise. ``prior_sd`` is the prior
+    standard deviation of the cross-axis terms, if any. ``quadratic_sd`` is s_q, 1/(m/s2). Raise NotObservable if the poses do not
+    determine a parameter, and PoorFit if no linear sensor gives these readings.
     """
     center, radius = sphere_of(reading)
     scale = gravity / radius
@@ -132,7 +132,7 @@ def fit_norm(
         sources = _sources(v, p, design, noise, creep, gravity)
         try:
             fit = solve(design, design @ p - residuals, sources, excess=hand, prior=prior)
-        except (np.linalg.LinAlgError, ValueError):  # the descent ran away
+        except (np.linalg.LinAlgError, ValueError):  # the descent diverged
             break
         step = np.abs((fit.theta - p) / size).max()
         p = fit.theta
@@ -152,8 +152,8 @@ def fit_norm(
         if not np.abs(p / size).max() < FARTHEST:
             break
     raise PoorFit(
-        f"multi-position: {len(reading)} readings do not have one length, {gravity:g} m/s2, for any linear sensor. Check that "
-        "the device lay still and that the columns are the accelerometer's",
+        f"multi-position: {len(reading)} readings do not have the length {gravity:g} m/s2 for any linear sensor. Check that the "
+        f"device was still and that the columns are the accelerometer's",
         poses=len(reading),
     )
 
@@ -273,7 +273,7 @@ def misses_gravity(what: str, rms: float, limits: tuple[float, float], unit: str
         "multi_position.residual",
         rms,
         limits,
-        f"{what} miss gravity by {size} {unit} rms (limit {limits[0]:g} {unit}): the device moved in some, or it is not linear.",
+        f"{what} miss gravity by {size} {unit} rms (limit {limits[0]:g} {unit}): the device moved, or its sensors are not linear.",
         "Repeat them, turn more slowly and rest longer.",
         rms=rms,
     )
@@ -300,7 +300,7 @@ def _judged(fit: NormFit, corrected: FloatArray) -> Iterator[Finding]:
             "session.not_observable",
             "warn",
             f"The poses do not determine the {what[0].lower()}{what[1:]}. 0 +- {100.0 * fit.prior_sd:g} % of the scale was "
-            f"assumed, +- {percent:.2g} % remains (1 sigma).",
+            f"assumed, and +- {percent:.2g} % remains (1 sigma).",
             _advice(corrected, fit.kept),
             what=what,
         )
@@ -311,7 +311,7 @@ def _advice(corrected: FloatArray, unseen: tuple[str, ...]) -> str:
     values, vectors = np.linalg.eigh(n.T @ n / len(n))
     if values[0] < 0.02:
         axis = AXES[int(np.abs(vectors[:, 0]).argmax())]
-        return f"All poses lie near one plane. Add poses with the {axis} axis up and with it down."
+        return f"All poses lie near one plane. Add poses with the {axis} axis up and with the {axis} axis down."
     if set(unseen) <= {NAMES[i] for i in CROSS}:
         return "Add poses between the faces (edges and corners up)."
     return "Add poses on the sides, edges and corners that are missing."

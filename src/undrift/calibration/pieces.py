@@ -26,7 +26,7 @@ class Piece:
     stop: int  # sample after the last
     recording: int
     label: str = ""  # face, axis and angle, axis and rate
-    why: str = ""  # why it was left out, or "" if it was used or detected
+    why: str = ""  # reason why it was left out, or "" if it was used or detected
 
 
 def pieces_of(observed: Observed, calibration: Calibration | None = None) -> tuple[Piece, ...]:

@@ -1,6 +1,6 @@
-"""Plausibility: answers that cannot be this device, each named with its number and what to do about it.
+"""Plausibility: checks for results that this device cannot have. Each message gives the value and a remedy.
 
-A fit calls these before it trusts its data and after it has an answer. Every check returns None or raises.
+A fit calls these checks on its data and on its result. Every check returns None or raises.
 """
 
 import itertools
@@ -19,15 +19,15 @@ from undrift.model import AXES
 from undrift.record import FACES, Face, Record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, Quantity, is_physical, si_factor
 
-# ---- axis order: do columns have the order and sense of the stated axes?
+# ---- axis order: check that the columns have the order and sense of the given axes
 #
 # There are 48 matrices with one +1 or -1 in every row and column. The matrix nearest to a forward matrix K with unit rows gives
 # the axis that each column reads:
 #
 #     P = argmax sum_ij P_ij K_ij / |K_i|        P_ij = +1: column i reads + for axis +j
 #
-# Any P but the identity is an exchange of columns, a wrong sign, or axis labels that do not belong to the data. A left-handed
-# triad is only one half of the cases: an even exchange stays right-handed.
+# Any P other than the identity means an exchange of columns, a wrong sign, or axis labels that do not belong to the data. A
+# left-handed triad is only half of the cases: an even exchange remains right-handed.
 
 
 def nearest_signed_permutation(forward: FloatArray) -> FloatArray:
@@ -101,12 +101,12 @@ def cause_by_gravity(order: FloatArray) -> str:
 
 # ---- readings at the end of the range
 
-MANY_VALUES = 20  # different readings (fewer are a constant or steps, without a clear top)
-NEAR_ZERO = 0.1  # relative to the largest reading: a level nearer to zero is the rest of a motion to one side
+MANY_VALUES = 20  # smallest number of different readings (fewer are a constant or steps, without a clear maximum)
+NEAR_ZERO = 0.1  # relative to the largest reading: a level nearer to zero is a rest after motion to one side
 
 
 def end_readings(column: FloatArray) -> list[float]:
-    """Return the readings at which a column (N,) sticks because the range ends."""
+    """Return the readings at which a column (N,) is stuck because it reaches the end of its range."""
     if all(np.count_nonzero(column == end.reduce(column)) < STUCK for end in (np.fmin, np.fmax)):
         return []
     limits, finite = [limit for limit, _ in saturated_runs(column)], column[np.isfinite(column)]
@@ -141,7 +141,7 @@ def check_range(windows: Sequence[FloatArray], what: str) -> None:
 
 
 def saturated(what: str, count: int, of: int, pieces: tuple[str, ...]) -> Finding:
-    """Return a finding about samples, moves or turns that were left out because a reading sticks at the end of its range."""
+    """Return a finding about samples, moves or turns that were left out because a reading is stuck at the end of its range."""
     names = ", ".join(pieces[:5]) + (f" and {len(pieces) - 5} more" if len(pieces) > 5 else "")
     return finding(
         "session.saturated",
@@ -156,7 +156,7 @@ def saturated(what: str, count: int, of: int, pieces: tuple[str, ...]) -> Findin
 
 
 def without_saturated(record: Record) -> tuple[Record, tuple[Finding, ...]]:
-    """Return the record with a gap in place of the readings at the end of the range, and a finding for each triad."""
+    """Return the record with gaps instead of readings at the end of the range, and a finding for each triad."""
     findings, changed = list[Finding](), dict[str, Any]()
     for channel in ("gyro", "accel"):
         readings = getattr(record, channel)
@@ -178,7 +178,7 @@ SCALE_TOLERANCE = 0.25  # largest relative difference of a scale factor from its
 CHECK_GYRO_SCALE = (
     "Compare it with the range set on the device. Give turn rates in deg/s, not rad/s, and angles in deg, not rad."
 )
-MIN_RANGE_DPS = 100.0  # gyroscopes of 16 bit end at 125 deg/s or beyond
+MIN_RANGE_DPS = 100.0  # the range of 16-bit gyroscopes is 125 deg/s or more
 FORCE_UNITS = {  # length of the specific force in g -> cause
     STANDARD_GRAVITY: "acceleration is in m/s2, not g",
     1.0 / STANDARD_GRAVITY: "acceleration is in g, not m/s2",
@@ -223,7 +223,7 @@ def check_faces(means: FloatArray, faces: Sequence[Face]) -> None:
     pairs = dict.fromkeys(zip(faces, read, strict=True))  # label and face, each combination once
     labels, measured_faces = [label for label, _ in pairs], [face for _, face in pairs]
     wrong = [label for label in FACES if any(label == wanted and wanted != face for wanted, face in pairs)]
-    # columns that would give these readings, if all labels are right
+    # columns that would give these readings if all labels were right
     order = face_vectors(measured_faces).T @ face_vectors(labels)
     nearest = nearest_signed_permutation(order) if np.abs(order).sum(axis=1).all() else np.zeros((3, 3))
     if twice := [label for label in FACES if labels.count(label) > 1]:
@@ -247,7 +247,7 @@ def check_faces(means: FloatArray, faces: Sequence[Face]) -> None:
 
 
 def check_gravity(force: FloatArray, gravity: float, *, factor: float = 1.6, cause: str = "") -> None:
-    """Raise if the median length of specific forces (P, 3), m/s2, cannot be gravity. ``cause`` replaces the likely cause."""
+    """Raise if the median length of specific forces (P, 3), m/s2, cannot be gravity. ``cause`` replaces the cause in messages."""
     lengths = np.linalg.norm(force, axis=1) / gravity
     ratio = float(np.nanmedian(lengths))
     if not 1.0 / factor <= ratio <= factor:
@@ -291,8 +291,8 @@ def check_own_scale(
 def check_gyro_scale(scale_factor: FloatArray, unit: str, largest: float, *, rates_given: bool) -> Iterator[Finding]:
     """Compare the scale factors (3,) of gyroscopes, reading per rad/s, with their unit.
 
-    Counts, with the largest reading given, have no nominal scale. If only the given turns determine the scale, the finding
-    states the range in deg/s that the scale means for 16 bit.
+    Counts, with the largest reading given, have no nominal scale. If only the given turns determine the scale, a finding gives the
+    range in deg/s that this scale implies for 16 bits.
     """
     if is_physical(unit):
         ratio = scale_factor * si_factor(unit, "rate") - 1.0
@@ -315,9 +315,10 @@ def check_gyro_scale(scale_factor: FloatArray, unit: str, largest: float, *, rat
 
 
 def force_words(median_g: float, spread_g: float) -> str:
-    """Return why a specific force has another length than gravity at rest, or "" if the cause is unknown.
+    """Return the reason why a specific force at rest does not have the length of gravity, or "" if it is unknown.
 
-    A scatter of more than 0.3 of the median indicates that gravity was removed, because a unit only scales both.
+    A scatter of more than 0.3 of the median indicates that gravity was removed, because a wrong unit scales scatter and median
+    alike.
     """
     if median_g < 0.5 and spread_g > 0.3 * median_g:
         return "gravity is missing: an app's linear acceleration, without gravity"

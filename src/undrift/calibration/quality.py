@@ -1,13 +1,13 @@
-"""Check that the rests of a session are still, its turns steady, and that rests without a fit agree with gravity.
+"""Check that the rests of a session are still, that its turns are steady, and that rests not used by a fit agree with gravity.
 
 A still is compared with a device at rest by two figures, which do not depend on the offset of its sensors:
 
     sway    standard deviation of the readings, averaged over 0.1 s (three axes combined)
     rate    mean rate reading minus its median over all stills: a slow turn that does not sway
 
-If the worst still exceeds the limit of a bench, it becomes a finding. At three times the limit the session is refused. Readings in
-counts have no such limit, so a still is then compared with the other stills. A turn is checked by r, the reading of the turned axis
-minus its offset, smoothed over 0.1 s, relative to the 90 % quantile of abs(r):
+If the worst still exceeds the limit of a bench, it is reported as a finding. At three times the limit the session is refused.
+Readings in counts have no such limit, so a still is then compared with the other stills. A turn is checked by r, the reading of the
+turned axis minus its offset, smoothed over 0.1 s, relative to the 90 % quantile of abs(r):
 
     spread   standard deviation of abs(r) over a settled dwell, relative to its mean (a stop in 5 % of it makes 0.23)
     edge     abs(r) at the start or end of a turn by an angle: part of the angle is missing
@@ -30,8 +30,8 @@ from undrift.record import Record, Session, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
 ACCEL_SWAY = 0.05  # m/s2: a steady tilt by 1 deg from start to end
-REFUSED_RATIO = 3.0  # ratio of a figure to its limit from which the session is refused
-COUNTS_RATIO = 10.0  # a still in counts may spread this many times the median of all stills
+REFUSED_RATIO = 3.0  # ratio of a figure to its limit above which the session is refused
+COUNTS_RATIO = 10.0  # largest spread of a still in counts, relative to the median of all stills
 SAME_TEMPERATURE_K = 3.0
 SMOOTH_S = 0.1
 
@@ -140,12 +140,12 @@ def _rates(session: Session, stills: tuple[Still, ...]) -> Iterator[Fault]:
 
 
 def check_counted_once(records: Sequence[Record]) -> None:
-    """Raise if readings would count twice because a recording is repeated, which would make the uncertainty too small."""
+    """Raise if a recording is repeated. Its readings would count twice, and the uncertainty would be too small."""
     first = dict[bytes, int]()
     for number, record in enumerate(records):
         readings = np.column_stack([values for values in (record.gyro, record.accel) if values is not None])
         if not (np.nanmin(readings, axis=0) < np.nanmax(readings, axis=0)).any():
-            continue  # sensors that repeat one value
+            continue  # sensors that repeat a single value
         digest = hashlib.sha256(readings.tobytes()).digest()
         if digest in first:
             raise InputError(f"recordings {first[digest]} and {number} contain the same data. Remove one of the two.")
@@ -154,10 +154,10 @@ def check_counted_once(records: Sequence[Record]) -> None:
 
 # ---- turns
 
-MIN_NOISES = 8.0  # the 90 % quantile in white noises of r, below which a turn is not judged
+MIN_NOISES = 8.0  # 90 % quantile, relative to the white noise of r, below which a turn is not judged
 MOST_SETTLING = 0.5  # largest share of a dwell that is omitted
-CUT_OFF_SHARE = 0.5  # share of the quantile at the start or end of a turn from which it is cut off
-SPREAD_LIMITS, EDGE_LIMITS = (0.05, 0.23), (0.2, CUT_OFF_SHARE)  # warn and fail above them
+CUT_OFF_SHARE = 0.5  # share of the quantile at the start or end of a turn above which the turn is cut off
+SPREAD_LIMITS, EDGE_LIMITS = (0.05, 0.23), (0.2, CUT_OFF_SHARE)  # limits for a warning and for a failure
 
 
 def check_turns(session: Session, stills: tuple[Still, ...], settle_s: float) -> Iterator[Finding]:
@@ -187,7 +187,7 @@ def check_turns(session: Session, stills: tuple[Still, ...], settle_s: float) ->
 
 
 def steady(record: Record, turn: Turn, settle_s: float) -> slice:
-    """Return the samples of a turn that count: of a dwell without its start, and whole turns if possible."""
+    """Return the samples of a turn that count: for a dwell, those after its start, and whole turns if possible."""
     if not turn.turn_rate:
         return slice(turn.start, turn.stop)
     time = record.time[turn.start : turn.stop]
@@ -200,13 +200,13 @@ def steady(record: Record, turn: Turn, settle_s: float) -> slice:
 
 
 def _steady_rate(session: Session, turn: Turn, settle_s: float) -> FloatArray:
-    """Return the gyroscope readings (n, 3) of a turn that count, or an empty array without gyroscopes."""
+    """Return the gyroscope readings (n, 3) of the samples of a turn that count, or an empty array without gyroscopes."""
     record = session.records[turn.recording]
     return np.zeros((0, 3)) if record.gyro is None else record.gyro[steady(record, turn, settle_s)]
 
 
 def saturated_turns(session: Session, settle_s: float) -> tuple[int, ...]:
-    """Return the numbers of the turns in which a gyroscope sticks at the end of its range."""
+    """Return the numbers of the turns in which a gyroscope is stuck at the end of its range."""
     windows = [_steady_rate(session, turn, settle_s) for turn in session.turns]
     return tuple(number for number, window in enumerate(windows) if len(window) and stuck_windows([window])[0])
 
@@ -233,23 +233,23 @@ def _smooth_rate(session: Session, at_rest: FloatArray | None, turn: Turn, settl
     return rate if np.quantile(np.abs(rate), 0.9) > MIN_NOISES * noise else np.empty(0)
 
 
-# ---- rests that a fit did not use: the length of their specific force against gravity
+# ---- rests that a fit did not use: their specific force compared with gravity
 #
 # m_p = |f_p| - g,  f_p = M (u_p - o)       mean reading u_p of still p, in any pose
 # s_p^2 = (M' n)' S_p (M' n) + J_p C J_p'   n = f / |f|, J = d|f| / d(M, o), covariance C of the fit
 #
 # Six stills that are not faces may fit twelve parameters well, for example poses of a sheared cube. Other poses then miss
-# gravity, even without a known direction. S_p contains the noise of the mean and the converter's step.
+# gravity, even if their direction is unknown. S_p contains the noise of the mean and the converter's step.
 
 LARGEST_ANGLE_DEG = 5.0  # largest angle between a sensor and its axis of the case (parts and boards: 1 to 3)
 WARN_MISS, FAIL_MISS = 3e-3 * STANDARD_GRAVITY, 20e-3 * STANDARD_GRAVITY  # m/s2 rms
-BEYOND_SIGMAS = 4.0  # limit in uncertainties (chance exceeds it in 1 of 16,000)
+BEYOND_SIGMAS = 4.0  # limit in standard uncertainties (chance exceeds it in 1 of 16,000)
 CHECK_FACES = "Rest on flat faces of the case and check the label of each, or use all rests (`accel` multi-position)."
-MIN_MISSES = 2  # stills that fail: one may be no rest
+MIN_MISSES = 2  # number of stills that must fail, because one may not be a rest
 
 
 def check_accel(session: Session, model: TriadModel, unused: Sequence[Still]) -> Iterator[Finding]:
-    """Compare a fitted accelerometer with the axes of a case, and with gravity in the stills that it did not use."""
+    """Compare a fitted accelerometer with the axes of a case, and with gravity in the stills that the fit did not use."""
     angles = np.arccos(np.clip(np.diag(model.forward_matrix) / model.scale_factor, -1.0, 1.0)) / RADIAN_PER_DEGREE
     axis = int(np.argmax(angles))
     if angles[axis] > LARGEST_ANGLE_DEG:

@@ -11,7 +11,7 @@ Sources of error of dwell or rest i, in the frame of the case:
 
     noise, adc     M n_i                       noise and rounding of the mean
     rate           w_i r                       common error of all given rates
-    mounting       w_i (d_i + e_i)             axis of the table, from gravity or as given, and its wobble
+    mounting       w_i (d_i + e_i)             axis of the table (measured with gravity, or given) and its wobble
     ripple         w_i u_i                     differences of the rate from dwell to dwell, and ripple that whole turns do not
                                                average out
     temperature    warmth_i (alpha + beta w_i) dependence of offset and scale on temperature
@@ -45,7 +45,7 @@ from undrift.record import Record, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
 MIN_NOISE = 1e-9  # relative to the largest reading, the arithmetic error of the filter
-WHOLE_TURN = 0.9 * 2.0 * np.pi  # rad, minus the last sample
+WHOLE_TURN = 0.9 * 2.0 * np.pi  # a whole turn minus the last sample, rad
 SPREAD = 2.0  # spread of the distance of two inputs from rounding in the plain fit, in independent rounding errors
 
 # ---- fit of dwells and rests
@@ -177,11 +177,15 @@ def _shared_rounding(dwells: DwellMeans, rates: FloatArray, matrix: FloatArray, 
     count, step = len(rates), np.where(dwells.codes > 0.0, dwells.step, 1.0)
     force = np.zeros((count, 0)) if dwells.force is None else dwells.force
     known = np.column_stack((np.ones(count), rates, force))
+    # wobble of the axis and ripple of the rate move the readings of dwells
+    scatter = dwells.reading - known @ np.linalg.lstsq(known, dwells.reading, rcond=None)[0]
+    turning = (dwells.turn_rate != 0.0)[:, None]
+    noise_of_fit = np.maximum(codes, 1e-300) + turning * np.mean(scatter**2, axis=0, where=turning)
     distance, spread = np.empty((2, count, count, 3))
     for k in range(3):
-        noise = np.maximum(codes[:, k], 1e-300)
+        noise = noise_of_fit[:, k]
         prior = np.zeros(known.shape[1])
-        prior[4:] = (matrix[k, k] / G_SENSITIVITY) ** 2  # of the g-sensitivity of the readings
+        prior[4:] = (matrix[k, k] / G_SENSITIVITY) ** 2  # share due to the g-sensitivity of the readings
         covariance = np.linalg.pinv(known.T @ (known / noise[:, None]) + np.diag(prior), hermitian=True)
         inputs = known @ (covariance @ (known.T @ (dwells.reading[:, k] / noise)))
         shared = known @ covariance @ known.T
@@ -224,7 +228,7 @@ def _partial_turns(records: Sequence[Record], turns: Sequence[Turn], settle_s: f
 
 
 def axes_missing(turn_axes: Sequence[str], unit: str, cross_axis_prior: float) -> Finding:
-    """Return a finding about turns about one or two axes: elements that keep their prior, and its size."""
+    """Return a finding if there are only turns about one or two axes: the elements that keep their prior, and its size."""
     missing = tuple(axis for axis in AXES if axis not in turn_axes)
     scale_percent = 100.0 * (SCALE_FACTOR if is_physical(unit) else SCALE_FACTOR_IN_COUNTS)
     return finding(
@@ -238,26 +242,25 @@ def axes_missing(turn_axes: Sequence[str], unit: str, cross_axis_prior: float) -
     )
 
 
-# ---- false dwells: a rate stated with a wrong sign, value or axis
-#
-# One such dwell moves a least-squares fit, and an offset that may drift follows it. So before, each sensor is fitted by Huber's
-# weights, s = K w + b. Dwell i reads e_i = K^-1 (s_i - s) beyond its rate. It is refused if |e_i| is beyond 8 times the typical
-# |e|, the median over the rows minus one for every parameter that the fit makes exact, and beyond 2 % of the largest rate. The
-# curvature of a sound sensor, its g-sensitivity, and the ripple of a table are smaller.
+# ---- false dwells: the given rate has a wrong sign, value or axis One such dwell biases a least-squares fit, and an offset that
+# may drift follows it. Therefore each sensor is first fitted with Huber's weights, s = K w + b. Dwell i reads e_i = K^-1 (s_i -
+# s) more than its rate. It is refused if |e_i| is beyond 8 times the typical |e|, the median over the rows minus one for every
+# parameter that the fit makes exact, and beyond 2 % of the largest rate. The curvature of a sound sensor, its g-sensitivity, and
+# the ripple of a table are smaller.
 
-SCATTERS = 8.0  # times the typical error, beyond the tails of noise, wobble or drift in a few tens of dwells
+SCATTERS = 8.0  # limit relative to the typical error, beyond the tails of noise, wobble or drift in tens of dwells
 SHARE = 0.02  # relative to the largest rate
-LEAST_SPARE = 4  # equations beyond the parameters of a sensor, so that a false dwell is recognisable
+LEAST_SPARE = 4  # number of equations in excess of a sensor's parameters, so that a false dwell can be recognised
 
 
 def check_dwells(dwells: DwellMeans, rates: FloatArray, numbers: Sequence[int]) -> None:
-    """Raise if the reading of a dwell contradicts all the others at rates (N, 3), rad/s. Messages call dwells by ``numbers``."""
+    """Raise if the reading of a dwell contradicts all others at rates (N, 3), rad/s. Messages refer to dwells by ``numbers``."""
     design = np.column_stack((rates, np.ones(len(rates))))
     if len(design) - design.shape[1] < LEAST_SPARE or np.linalg.matrix_rank(design) < design.shape[1]:
         return
     theta = np.array([fit_huber(design, column)[0] for column in dwells.reading.T])
     if abs(np.linalg.det(theta[:, :3])) < 1e-6 * np.prod(np.linalg.norm(theta[:, :3], axis=1)):
-        return  # two columns have the same readings, which the fit itself reports
+        return  # two columns have the same readings; the fit itself reports this
     residual_rate = (dwells.reading - design @ theta.T) @ np.linalg.inv(theta[:, :3]).T
     error = np.linalg.norm(residual_rate, axis=1)
     typical = float(np.median(np.sort(error)[design.shape[1] :]))

@@ -52,7 +52,7 @@ from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ReferenceFit:
-    """A gyroscope fitted to the references of R recordings."""
+    """Gyroscope fitted to the references of R recordings."""
 
     # residuals: rotations of the longest windows, over their length. The offset of the model is the mean at rest if the model has a
     # ``moving_offset``, otherwise the offset in motion
@@ -61,7 +61,7 @@ class ReferenceFit:
     rest_offsets: FloatArray  # (R, 3), mean reading at rest of each recording, raw unit, or NaN without a rest
     lags_s: FloatArray  # (R,), lag of each recording, s
     lag_uncertainties_s: FloatArray  # (R,), standard uncertainty of the lag, s
-    window_s: float  # longest windows that the recordings were long enough for, s
+    window_s: float  # longest windows that fit into the recordings, s
     mountings: FloatArray  # (R, 3), rotation vector from the mean body to the body of each recording, rad
 
     def model_at_rest_offset(self, rest_offset: FloatArray) -> TriadModel:
@@ -81,7 +81,7 @@ class HeldOut(NamedTuple):
 
 # ---- recordings
 
-MARGIN_S = 0.5  # part of the rest on either side that belongs to the motion
+MARGIN_S = 0.5  # time at each end of a rest that belongs to the motion, s
 REST_BLOCK_S = 0.5  # means of this length count as independent
 
 
@@ -94,7 +94,7 @@ class Aligned:
     reference: Reference  # poses at the frames of the cameras
     lag: sync.Lag  # lag of the gyroscope's readings behind the poses
     span: sync.MotionSpan  # motion from the first to the last rest, on the clock of the record
-    findings: tuple[Finding, ...]  # about the two clocks, the ends of both files, and saturated readings
+    findings: tuple[Finding, ...]  # findings about the two clocks, the ends of both files, and saturated readings
 
 
 def align(record: Record, reference: Reference, longest_lag_s: float = sync.LONGEST_LAG_S) -> Aligned:
@@ -127,7 +127,7 @@ class Recording:
     rest_sign: FloatArray  # (3,), mean sign of the readings there
     rest_uncertainty: FloatArray  # (3,), standard uncertainty of the mean reading, raw unit
     pose_time: FloatArray  # (L,), times of the poses at which windows start and end, s, clock of the record
-    q_nb: FloatArray  # (L, 4), these poses, with NaN in gaps
+    q_nb: FloatArray  # (L, 4), poses at these times, with NaN in gaps
 
 
 def recording_of(aligned: Aligned, *, turning: bool) -> Recording:
@@ -139,7 +139,7 @@ def recording_of(aligned: Aligned, *, turning: bool) -> Recording:
     turns: FloatArray = np.ones(len(time))
     if turning and np.isfinite(rest).all():
         turns = find_turning((gyro - rest) @ lag.matrix.T, time)[0]
-    # a strapdown keeps each reading over the step before its stamp, a shift of half a sample
+    # a strapdown holds each reading over the step before its time stamp, a shift of half a sample
     pose_time = poses.time + (lag.seconds - 0.5 * step)
     inside = (pose_time >= max(span.start_s - MARGIN_S, time[0])) & (pose_time <= min(span.stop_s + MARGIN_S, time[-1]))
     ends = np.flatnonzero(inside)[:: max(1, round(STRIDE_S * poses.sample_rate_hz))]
@@ -229,12 +229,12 @@ def window_equations(
 # ---- robust least squares of overlapping windows
 #
 # Huber's estimate by reweighting. Neighbouring windows share readings and poses, so the covariance is a jackknife covariance: to
-# first order, leaving a block b of windows out moves the estimate by
+# first order, omitting a block b of windows changes the estimate by
 #
-# x_b = (N - N_b)^-1 A_b' p_b            N = A' D A + K, bounded residuals p, D = 1 within Huber's bound else 0, prior K
+# x_b = (N - N_b)^-1 A_b' p_b            N = A' D A + K, bounded residuals p, D = 1 within Huber's bound, otherwise 0, prior K
 #
 # and cov x is the sum of x_b x_b' over B blocks, widened by Student's factor for B - 1 degrees of freedom. A block is two
-# windows long, so its errors are independent of those two blocks later.
+# windows long, so its errors are independent of the errors two blocks later.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -283,7 +283,7 @@ def solve_windows(
 
 
 def _blocks(windows: Sequence[Windows], reach: int) -> IntArray:
-    """Return the block that each window belongs to. Blocks are numbered through all recordings."""
+    """Return the block that each window belongs to. Blocks are numbered consecutively over all recordings."""
     for length in (2 * reach, reach):
         place = np.concatenate([1_000_000 * number + samples.first // length for number, samples in enumerate(windows)])
         blocks: IntArray = np.unique(place, return_inverse=True)[1]
@@ -307,19 +307,19 @@ def full_rank(design: FloatArray, what: str = "reference") -> float:
 
 # least rms rate about the second and third axis of the motion, relative to the first axis, that determines these axes
 SECOND_AXIS, THIRD_AXIS = 0.03, 0.1
-# weight of all recordings in the first body of each: a recording about a single axis does not determine its own body
+# weight of all recordings in the initial body of each: a recording about a single axis does not determine its body
 SHARED_BODY = 0.01
 # elements of M about the rotation from readings to body, relative (data sheets of consumer parts: scale factor 1 to 3 %, cross-axis
 # sensitivity 1 to 2 %), and rotation of a mounting about its first estimate, rad. Assumed.
 MATRIX_PRIOR, MOUNTING_PRIOR = 0.03, 0.05
-TURN_ON = 0.1 * RADIAN_PER_DEGREE  # rad/s, repeatability of the offset between recordings without a rest. Assumed.
+TURN_ON = 0.1 * RADIAN_PER_DEGREE  # repeatability of the offset between recordings without a rest, rad/s. Assumed.
 # d, rad/s, and the deviation of c from half a step (codes cut off toward zero) or from zero, in steps. 24 trials of four devices
 # have 0.01 to 0.05 deg/s and -0.3 to 0.8 of a step
 MOVING_PRIOR, CODE_PRIOR = 0.05 * RADIAN_PER_DEGREE, 1.0 / 3.0
 MATRIX_DIFFERENCE = 0.05  # relative difference between the matrices of single recordings of the same device
-START_RIDGE = 1e-3  # weight of the nominal matrix at the start, as a share of the largest power of the rates
-USUAL_RESIDUAL = 5e-3  # rad, of a window, before the first solution
-WINDOWS_S = (2.0, 4.0, 8.0, 16.0, 16.0, 16.0)  # windows of the fits: in 2 s, raw readings err by less than 0.5 rad
+START_RIDGE = 1e-3  # weight of the nominal matrix in the initial estimate, relative to the largest power of the rates
+USUAL_RESIDUAL = 5e-3  # residual of a window before the first solution, rad
+WINDOWS_S = (2.0, 4.0, 8.0, 16.0, 16.0, 16.0)  # window lengths: in 2 s, raw readings err by less than 0.5 rad
 WANTED_PERCENT = (0.2, np.inf)  # limits of the uncertainty of M
 WANTED_REST_DPS = 0.03  # largest spread of the rest offsets
 RECORD_LONGER = "Record longer: turn about every axis, and rest on all six sides of the device."
@@ -335,7 +335,7 @@ def fit_reference(
 ) -> ReferenceFit:
     """Fit matrix, offset in motion, and rounding loss of a gyroscope to references, for the rounding ``adc`` of its codes.
 
-    With ``mounting`` "each" the device was put on the reference body again for each recording.
+    If ``mounting`` is "each", the device was put on the reference body again for each recording.
     """
     check_choice(mounting, Mounting, "reference", "mounting")
     return fit_aligned(_align_all(records, references, longest_lag_s), mounting, adc=adc)
@@ -350,7 +350,7 @@ def leave_one_out(
     longest_lag_s: float = sync.LONGEST_LAG_S,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> tuple[HeldOut, ...]:
-    """Fit a model for each recording to all other recordings of the device. ``progress`` gets a text and a share from 0 to 1."""
+    """Fit a model for each recording to all other recordings of the device. ``progress`` receives a text and a fraction, 0 to 1."""
     check_choice(mounting, Mounting, "reference", "mounting")
     if len(records) < 2:
         raise InputError(f"leave one out: two recordings of a device or more are needed, got {len(records)}.")
@@ -392,11 +392,11 @@ class _Parameters:
 
     @property
     def free(self) -> IntArray:
-        """Numbers of the parameters that are fitted."""
+        """Return the indices of the fitted parameters."""
         return np.flatnonzero(self.spread)
 
     def equations(self, recordings: Sequence[Recording], reach: int) -> tuple[list[Windows], FloatArray]:
-        """Return the windows of all recordings, and the columns (n, 3, F) of the free parameters."""
+        """Return the window equations of all recordings, and the columns (n, 3, F) of the free parameters."""
         windows = [
             window_equations(recording, local @ self.value, offset, mounting, reach)
             for recording, local, offset, mounting in zip(
@@ -417,9 +417,9 @@ class _Parameters:
 def fit_aligned(
     aligned: Sequence[Aligned], mounting: Mounting, *, turning: bool = True, adc: AdcModel | None = None
 ) -> ReferenceFit:
-    """Fit the gyroscope of a device to short windows, then to longer windows, each time starting from the previous fit.
+    """Fit the gyroscope of a device to short windows, then to longer windows. Each fit starts from the previous one.
 
-    d acts while the device turns, or without ``turning`` from the first to the last rest.
+    d applies while the device turns or, without ``turning``, from the first to the last rest.
     """
     recordings, unit = [recording_of(item, turning=turning) for item in aligned], aligned[0].record.gyro_unit
     parameters = _start(recordings, mounting, unit, adc, moving_apart=turning)
@@ -438,8 +438,8 @@ def fit_aligned(
     if solution is None:
         causes = " ".join(item.text for recording in recordings for item in recording.aligned.findings)
         raise NotObservable(
-            f"reference: {unknown} parameters need more than {unknown // 3} windows of {length_s:g} s that do not overlap, "
-            f"got {count}. {causes} Record longer motion.",
+            f"reference: {unknown} parameters need more than {unknown // 3} windows of {length_s:g} s without overlap, got "
+            f"{count}. {causes} Record longer motion.",
             windows=count,
         )
     if np.linalg.det(parameters.value[:9].reshape(3, 3)) <= 0.0:
@@ -549,7 +549,7 @@ def _result(
         spread = np.sqrt(np.sum([r.rest_uncertainty**2 for r in rested], axis=0)) / len(rested)
     inverse = np.linalg.inv(matrix)
     motion_offset = inverse @ moving
-    # The fit has M, d and c. The offset o is the mean at rest. An error r of this mean moves o, and moves d by the opposite amount.
+    # The fit has M, d and c. The offset o is the mean at rest. An error r of this mean changes o by r and d by -r.
     of_matrix, of_moving, of_codes, of_rest = np.split(np.eye(18), (9, 12, 15))
     of_offset = np.diag(sign) @ of_codes
     if moving_apart:
@@ -592,7 +592,7 @@ def _result(
 
 
 def _findings(model: TriadModel, nominal: FloatArray, rests: Sequence[FloatArray]) -> Iterator[Finding]:
-    """Yield findings for axes that keep their prior, or for an uncertain matrix, and for rest offsets that differ."""
+    """Yield findings about axes that keep their prior, about an uncertain matrix, and about rest offsets that differ."""
     size = float(np.linalg.norm(nominal, 2))
     jacobian = np.kron(nominal.T, np.eye(3)) / size**2
     spread = np.sqrt(np.diag(jacobian @ model.covariance[:9, :9] @ jacobian.T)).reshape(3, 3)

@@ -31,12 +31,12 @@ from undrift.segments import find_still
 from undrift.sync import native_poses
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
-MIN_RESTS = 6  # number of rests from which the residuals determine the tilt of the poses
-NOMINAL_SCALE, NOMINAL_OFFSET = 0.05, 0.5  # accelerometers without a fit: relative scale, offset in m/s2. Assumed.
-MAX_CONDITION = 20.0  # largest condition number of the attitudes and a constant (2 for six faces)
+MIN_RESTS = 6  # smallest number of rests whose residuals determine the tilt of the poses
+NOMINAL_SCALE, NOMINAL_OFFSET = 0.05, 0.5  # uncertainty without a fit: relative scale, offset in m/s2. Assumed.
+MAX_CONDITION = 20.0  # largest condition number of the design from attitudes and a constant (2 for six faces)
 MIN_NOISE = 1e-9  # relative to the largest reading, the arithmetic error of a mean
 WANTED_PERCENT = (0.5, np.inf)  # limits of the uncertainty of the matrix
-TURNED_ABOVE = 5.0 * RADIAN_PER_DEGREE  # smallest angle of gyroscopes on the body of the reference
+TURNED_ABOVE = 5.0 * RADIAN_PER_DEGREE  # smallest angle between gyroscopes and the body of the reference
 
 
 def turned_like(gyro: TriadModel, unit: str) -> TriadModel | None:
@@ -92,7 +92,7 @@ def fit_reference_accel(
     reading, force = np.array([window.mean(axis=0) for window in windows]), gravity_m_s2 * up
     matrix = first_matrix(force, reading)
     sources = _sources(records, stills, windows, matrix, force, gravity_m_s2)
-    # effect of a tilt of 1 rad on the force: of each pose, and of the level of the reference on all rests together
+    # effect of a tilt of 1 rad on the force: tilt of each pose, and tilt of the reference's level in all rests together
     tilt = block_diag(*(gravity_m_s2**2 * (np.eye(3) - up[:, :, None] * up[:, None, :])))
     level = REFERENCE_LEVEL * gravity_m_s2 * np.swapaxes(body[:, :2], 1, 2).reshape(-1, 2)
     excess = {"level": tilt, "instability": sources["instability"] / ACCEL_FLICKER**2}

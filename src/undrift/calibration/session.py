@@ -39,8 +39,8 @@ from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
 SWEEP_THROUGH_ZERO = "Add slow turns in both directions about each axis, so that the readings pass through zero."
 FULL_TURN = 2.0 * np.pi  # rad
-FREE_POSES_SHARE = 0.1  # largest share of free poses among rests on faces
-CUT_OFF_S = 0.3  # a recording that turns throughout its last part is cut off
+FREE_POSES_SHARE = 0.1  # largest share of free poses among rests that count as rests on faces
+CUT_OFF_S = 0.3  # a recording that turns throughout this last part is cut off
 ROOM_C = 25.0
 ONE_TEMPERATURE = "Record at one temperature, or fit tables over temperature with undrift drift."
 
@@ -50,8 +50,8 @@ ONE_TEMPERATURE = "Record at one temperature, or fit tables over temperature wit
 # m_p = m + c_p z + e_p + d_p       rest p: drift c_p with temperature, z ~ N(0, 1), noise e, scatter d between rests
 #
 # The variance of e_p comes from block means within the rests. Blocks of half a second reveal flicker and filters, which single
-# samples do not, and blocks of an eighth of a rest reveal drift. The scatter between rests is an excess variance: each switch-on
-# has an offset of its own.
+# samples do not, and blocks of an eighth of a rest reveal drift. The scatter between rests is an excess variance: the offset is
+# different after each switch-on.
 
 LONG_BLOCKS = 8  # blocks per rest
 
@@ -82,9 +82,9 @@ def mean_of_rests(
 def at_one_temperature(session: Session) -> tuple[Session, tuple[Finding, ...]]:
     """Return a session with the pieces of one temperature.
 
-    If stills and turns form groups more than 3 K apart, the group nearest to 25 degC is used that has at least half as many pieces
-    as the largest. If it lacks faces, stills of the nearest group with most faces are added. sources.py adds the error of their
-    temperature.
+    If stills and turns form groups more than 3 K apart, only groups with at least half as many pieces as the largest are
+    considered, and the one nearest to 25 degC is used. If it lacks faces, stills of the nearest group with most faces are added.
+    sources.py adds the error of their temperature.
     """
     pieces: tuple[Still | Turn, ...] = (*session.stills, *session.turns)
     temps = piece_temperatures(session, pieces)
@@ -105,8 +105,8 @@ def at_one_temperature(session: Session) -> tuple[Session, tuple[Finding, ...]]:
         used |= (group == fullest) & np.array([piece_face is not None for piece_face in face])
     selected = [piece for piece, use in zip(pieces, used, strict=True) if use]
     sentence = (
-        f"Stills and turns lie in {len(counts)} groups from {means.min():.1f} to {means.max():.1f} degC. Only the "
-        f"{len(selected)} at {temps[used].mean():.1f} degC were used."
+        f"Stills and turns lie in {len(counts)} groups from {means.min():.1f} to {means.max():.1f} degC. Only the {len(selected)} "
+        f"pieces at {temps[used].mean():.1f} degC were used."
     )
     return replace(
         session,
@@ -132,25 +132,25 @@ class Observed:
 
     session: Session
     settings: CalibrateSettings
-    stills: tuple[Still, ...]  # as given, otherwise detected (with a face if gravity determines it)
-    found: bool  # True if they were found
+    stills: tuple[Still, ...]  # given, otherwise detected (with a face if gravity determines it)
+    found: bool  # True if the stills were detected
     findings: tuple[Finding, ...] = ()
-    searches: tuple[segments.StillSearch, ...] = ()  # one for each recording if they were found
-    adc: AdcModel | None = None  # rounding of the converter, which was corrected
+    searches: tuple[segments.StillSearch, ...] = ()  # one for each recording if the stills were detected
+    adc: AdcModel | None = None  # rounding of the converter, already corrected
 
     @property
     def faced(self) -> tuple[Still, ...]:
-        """Stills with a face."""
+        """Return the stills with a face."""
         return tuple(still for still in self.stills if still.face is not None)
 
     @property
     def sorted_stills(self) -> tuple[Still, ...]:
-        """Stills in order of time."""
+        """Return the stills in order of time."""
         return tuple(sorted(self.stills, key=lambda still: (still.recording, still.start)))
 
     @property
     def mostly_faces(self) -> bool:
-        """True if rests lie on all six faces and few are elsewhere."""
+        """Return True if there are rests on all six faces and few other rests."""
         free = len(self.stills) - len(self.faced)
         return {still.face for still in self.faced} == set(FACES) and free <= FREE_POSES_SHARE * len(self.stills)
 
@@ -169,7 +169,7 @@ class Observed:
         return mean, variance + code_variance(code_steps(records, rate=True), scatter, windows)
 
     def mean_temperature(self) -> float:
-        """Return the mean temperature over stills and turns, NaN if it was not recorded."""
+        """Return the mean temperature over stills and turns, or NaN if it was not recorded."""
         temps = piece_temperatures(self.session, (*self.stills, *self.session.turns))
         return float(np.nanmean(temps)) if np.isfinite(temps).any() else float("nan")
 
@@ -177,7 +177,7 @@ class Observed:
         """Return the stills at the fit's temperature that share no samples with a piece used by the fit, or with a turn."""
         candidates, occupied = list(self.stills), [*used, *self.session.turns]
         for number, record in enumerate(() if self.found else self.session.records):
-            with suppress(InputError):  # shorter than a window
+            with suppress(InputError):  # the still is shorter than a window
                 candidates += segments.find_still(record, self.settings.still, recording=number).stills
         unused: list[Still] = []
         for still in candidates:
@@ -198,7 +198,7 @@ class Observed:
 
     @cached_property
     def turn_searches(self) -> tuple[tuple[Record, segments.TurnSearch], ...]:
-        """Recordings with gyroscopes, and their detected turns."""
+        """Return the recordings with gyroscopes, and their detected turns."""
         return tuple(
             (record, segments.find_turns(record, [s for s in self.stills if s.recording == number]))
             for number, record in enumerate(self.session.records)
@@ -212,7 +212,7 @@ class Observed:
     def turns_of(self, angle: float) -> tuple[Turn, ...]:
         """Return the turns between rests by a known angle, rad, with sign and axis from the gyroscope.
 
-        In physical units their reading is near the known angle. In counts full turns are the largest motions.
+        In physical units, their reading is near the known angle. In counts, full turns are the largest motions.
         """
         candidates: list[tuple[Turn, float]] = []
         for record, search in self.turn_searches:
@@ -248,7 +248,7 @@ class Observed:
         return replace(self, session=replace(self.session, turns=turns))
 
     def without_saturated_turns(self) -> tuple["Observed", tuple[Finding, ...]]:
-        """Return it without the turns in which a gyroscope sticks at the end of its range, and the finding that names them."""
+        """Return a session without turns in which a gyroscope is stuck at the end of its range, and a finding about these turns."""
         session, numbers = self.session, saturated_turns(self.session, self.settings.settle_s)
         if not numbers:
             return self, ()
@@ -259,7 +259,7 @@ class Observed:
 
 
 def look(session: Session, settings: CalibrateSettings) -> Observed:
-    """Return a session with its stills as given, or detected and labelled, without any check."""
+    """Return a session with given stills, or with detected and labelled stills, without any check."""
     if session.stills:
         return Observed(session=session, settings=settings, stills=session.stills, found=False)
     searches = segments.find_poses(session.records, settings.still)
@@ -268,7 +268,7 @@ def look(session: Session, settings: CalibrateSettings) -> Observed:
 
 
 def observe(session: Session, settings: CalibrateSettings) -> Observed:
-    """Return a session without truncation, with its stills and turns, as given or detected. Raise if they fail the checks."""
+    """Return a session without truncation, with given or detected stills and turns. Raise if they fail the checks."""
     check_alike(session)
     check_counted_once(session.records)
     for record in session.records:
@@ -294,7 +294,7 @@ def observe(session: Session, settings: CalibrateSettings) -> Observed:
         unit = session.records[0].gyro_unit
         sentence = (
             "It is not known whether the codes of the gyroscope are truncated toward zero. If they are, the offset in motion "
-            f"differs from that at a rest by half a step ({step / 2.0:.3g} {unit}), and the pitch after a minute of motion "
+            f"differs from the offset at rest by half a step ({step / 2.0:.3g} {unit}), and the pitch after a minute of motion "
             "can exceed its limit."
         )
         findings.append(finding("session.rounding_unknown", "info", sentence, SWEEP_THROUGH_ZERO, step=step))
@@ -317,14 +317,15 @@ def labelled(session: Session, stills: tuple[Still, ...]) -> tuple[Still, ...]:
     physical = is_physical(session.records[0].accel_unit)
     with_force = [still for still in stills if session.records[still.recording].accel is not None]
     if not with_force or (not physical and len(with_force) < 5):
-        return stills  # counts have no known zero, unless poses share a sphere
+        return stills  # the zero of counts is unknown unless the poses lie on a common sphere
     means = [mean_reading(session.records[s.recording].accel, s.start, s.stop) for s in with_force]
     faces = dict(zip(with_force, segments.faces_of(np.array(means), centred=physical), strict=True))
     return tuple(replace(still, face=faces.get(still)) for still in stills)
 
 
 def with_offset(fit: TriadFit, offset: FloatArray, variance: FloatArray) -> TriadFit:
-    """Return a fit to readings without their offset for the readings themselves: offset and variance (3,), their unit."""
+    """Return a fit to readings with their offset, from a fit without it. Offset and variance (3,) are in the unit of the
+    readings."""
     covariance = np.array(fit.model.covariance)
     covariance[9:12, 9:12] = np.diag(variance)
     return replace(fit, model=replace(fit.model, offset=offset, covariance=covariance, budget=None))

@@ -1,4 +1,4 @@
-"""Settings of a calibration: what neither the recordings nor a session file state."""
+"""Settings of a calibration that neither the recordings nor a session file contain."""
 
 from dataclasses import dataclass, field
 from typing import Literal

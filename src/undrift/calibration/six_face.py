@@ -1,6 +1,7 @@
 """Calibrate accelerometers on six faces: gravity, with each face of the device up and down on a level plane.
 
-The axis that points up reads +g. Face "+x" is the column (g, 0, 0) of L, face "-x" is (-g, 0, 0). S contains the mean readings.
+The sensor on the axis that points up reads +g. Face "+x" is the column (g, 0, 0) of L, face "-x" is (-g, 0, 0). S contains the mean
+readings.
 
     paper      C = L S' (S S')^-1                                                       eqs. 1-3 of the note, without an offset
     affine     M s_p - c = g up_p + errors          12 parameters by least squares, o = M^-1 c
@@ -56,12 +57,12 @@ class FaceMeans:
     """Mean readings of a device on its faces."""
 
     reading: FloatArray  # (P, 3), mean of each pose, ``unit``
-    faces: tuple[Face, ...]  # axis that points up in each
+    faces: tuple[Face, ...]  # axis that points up in each pose
     noise: FloatArray | None = None  # (P, 3), standard deviation of each mean, ``unit``, or None if unknown
-    # (3,), standard deviation that the codes leave in each mean, in ``noise`` too, ``unit``
+    # (3,), standard deviation of each mean due to the codes, included in ``noise``, ``unit``
     rounding: FloatArray | None = None
     unit: str = "m/s2"  # unit of the readings
-    creep: Creep | None = None  # temperature of each pose
+    creep: Creep | None = None  # temperature of each pose, degC
     flicker: FloatArray | None = None  # (P, P), covariance of the offset by flicker, (m/s2)^2
     placement: IntArray | None = None  # (P,), number of the placement of each pose, or None if every pose has its own
 
@@ -129,7 +130,7 @@ def solve_faces(poses: FaceMeans, gravity: float, mode: Mode = "affine") -> GlsF
 def face_means(
     records: Sequence[Record], stills: Sequence[Still], *, window_s: float = 6.0, polynomial_degree: int = 1
 ) -> FaceMeans:
-    """Filter and average the middle ``window_s`` of each labelled still phase by a polynomial in time."""
+    """Filter the middle ``window_s`` of each labelled still phase with a polynomial in time, and average it."""
     unit = records[stills[0].recording].accel_unit if stills else "m/s2"
     middles = list[Still]()
     for still in (still for still in stills if still.face is not None):
@@ -178,7 +179,7 @@ def _check(poses: FaceMeans, gravity: float, mode: Mode) -> None:
         check_faces(poses.reading, poses.faces)
     if len(missing) > (0 if mode == "paper" else 1):
         raise NotObservable(
-            f"six faces: expected all six, got none for {', '.join(missing)}. Record the missing faces.",
+            f"six faces: {', '.join(missing)} missing. Record the missing faces.",
             missing=missing,
         )
 
@@ -196,7 +197,7 @@ def calibrate_faces(observed: Observed, mode: Mode, accel: TriadFit | None = Non
     )
     poses = replace(poses, creep=creep_of(observed, stills, "accel"), placement=placement)
     if paper:
-        # The mean over the six faces, each counted once, is an estimate of the offset, because opposite faces cancel.
+        # The mean over the six faces, each with the same weight, estimates the offset, because opposite faces cancel.
         faces, rows = np.array(poses.faces), solve_faces(poses, gravity, "paper")
         share = np.array([1.0 / (faces == face).sum() for face in faces]) / len(set(poses.faces))
         mean = np.kron(share, np.linalg.inv(rows.theta[:9].reshape(3, 3)))

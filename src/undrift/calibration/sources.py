@@ -30,7 +30,7 @@ from undrift.model import AXES, TriadModel
 from undrift.record import Session, Still, Turn
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
-# ---- flicker and walk of an offset, of a stated size, in means over pieces of a session
+# ---- flicker and walk of an offset, with a given size, in means over pieces of a session
 #
 #     F (E, E)        flicker: exponential correlations with time constants from 1 s to 10^4 s, variance 1 in all
 #     B (E, E)        random walk (Brownian covariance)
@@ -82,7 +82,7 @@ def walk_about_mean(time: FloatArray) -> FloatArray:
 
 
 def steady_drift(span: FloatArray) -> FloatArray:
-    """Return the covariance (E, E) of a change at a constant rate, by 1 over all pieces (E, 2), about its mean."""
+    """Return the covariance (E, E) of a steady change, about its mean. The change is 1 over all pieces (E, 2)."""
     since = (span.mean(axis=1) - span.min()) / float(np.ptp(span)) - 0.5
     return np.outer(since, since)
 
@@ -96,7 +96,7 @@ def gyro_drift(span: FloatArray) -> FloatArray:
 
 
 def walks_of(span: FloatArray | None) -> dict[str, FloatArray]:
-    """Return the shapes (3 E, 3 E) of a walk of each sensor's offset, for pieces (E, 2) on a common clock, s."""
+    """Return the covariance (3 E, 3 E) of a unit walk of each sensor's offset, for pieces (E, 2) on a common clock, s."""
     if span is None or not np.ptp(middle := span.mean(axis=1)) > 0.0:
         return {}
     walk = walk_about_mean(middle)
@@ -113,21 +113,21 @@ def offset_drift(fit: GlsFit) -> tuple[Finding, ...]:
         DRIFT_DPS,
         f"The gyroscope offset walked by {told_apart(dps, '.2g', DRIFT_DPS[0])} deg/s in a minute (1 sigma, limit "
         f"{DRIFT_DPS[0]:g}).",
-        "Warm the device up before, and rest before and after the turns.",
+        "Warm up the device beforehand, and rest before and after the turns.",
         dps_per_minute=dps,
     )
 
 
 def uncertain(what: str, size: float, limits: tuple[float, float], unit: str, action: str) -> tuple[Finding, ...]:
-    """Return a finding if a standard uncertainty, in a unit, exceeds the first of two limits."""
+    """Return a finding if a standard uncertainty exceeds the first of two limits in the same unit."""
     sentence = f"{what} has a standard uncertainty of {told_apart(size, '.2g', limits[0])} {unit} (limit {limits[0]:g} {unit})."
     return above("session.uncertain", size, limits, sentence, action, size=size)
 
 
 # ---- jitter of the clock
 #
-# A sum of readings u_k (t_k - t_(k-1)) changes by d_k (u_k - u_(k+1)) if stamp k is off by d_k. Time steps have twice the variance
-# of d.
+# A sum of readings u_k (t_k - t_(k-1)) changes by d_k (u_k - u_(k+1)) if time stamp k is off by d_k. Time steps have twice the
+# variance of d.
 
 
 def slip_covariance(time: FloatArray, reading: FloatArray) -> FloatArray:
@@ -220,16 +220,16 @@ def _thermometer_step(observed: Observed) -> float:
     return float(steps.min()) if len(steps) else 0.0
 
 
-# ---- sources of stated size that no residual shows: a larger size would be noticed by nothing
+# ---- sources with a given size that no residual reveals: if the actual size is larger, nothing shows it
 
-LARGE_SHARE = 0.25  # share of a variance: if such a source is three times its stated size, 74 % of the intervals hold
-GROUPS = {"scale": [0, 4, 8], "cross-axis terms": [1, 2, 3, 5, 6, 7], "offset": [9, 10, 11]}  # places of parameters
+LARGE_SHARE = 0.25  # share of a variance: if such a source is three times its given size, 74 % of intervals contain the true value
+GROUPS = {"scale": [0, 4, 8], "cross-axis terms": [1, 2, 3, 5, 6, 7], "offset": [9, 10, 11]}  # indices of parameters
 
 
 def name_stated_sources(
     kind: Kind, model: TriadModel, session: Session, settings: CalibrateSettings, *, visible: Sequence[str] = ()
 ) -> Iterator[Finding]:
-    """Yield a finding for each source of stated size that causes much of the uncertainty of a triad without any residual.
+    """Yield a finding for each source with a given size that causes much of a triad's uncertainty, but that no residual reveals.
 
     ``visible`` are sources that the residuals of this fit reveal.
     """
@@ -239,7 +239,7 @@ def name_stated_sources(
     per_k = f"{slopes.accel_scale_percent_per_k:g} % and {slopes.accel_offset_mg_per_k:g} mg per kelvin"
     if gyro:
         per_k = f"{slopes.gyro_scale_percent_per_k:g} % and {slopes.gyro_offset_dps_per_k:g} deg/s per kelvin"
-    texts = {  # source, its stated size, and how to check it
+    texts = {  # source, its given size, and a way to check it
         "rate": ("rate of the table", f"{100.0 * table.rate_uncertainty:g} %", "Turn by known angles"),
         "mounting": ("mounting on the table", f"{table.mount_tilt_deg:g} deg", "Record accelerometers on six faces"),
         "angle": ("angle of a turn", f"{settings.angle_uncertainty_deg:g} deg", "Turn twice about each axis"),

@@ -1,10 +1,10 @@
-"""Average dwells on a rate table, and measure about which axis of the case the table actually turned.
+"""Average dwells on a rate table, and measure the axis of the case about which the table actually turned.
 
 ``dwell_means`` averages the steady turns of a session. ``table_axes`` measures the axis of each turn in the case with gravity.
 ``imposed_rates`` returns the rates that a fit uses as its input.
 
-The start of a dwell, in which the table settles, is omitted. If the rest contains a whole turn, whole turns are averaged, so that a
-ripple of the rate and the Earth's horizontal rate average out.
+The start of a dwell, in which the table settles, is omitted. If the remainder contains a whole turn, whole turns are averaged. Then
+a ripple of the rate and the Earth's horizontal rate average out.
 """
 
 from collections.abc import Sequence
@@ -25,10 +25,10 @@ from undrift.record import Axis, Face, RateTable, Record, Still, Turn
 from undrift.units import EARTH_RATE, RADIAN_PER_DEGREE
 
 LEAST_SAMPLES = 8
-NOTE_CUTOFF_HZ = 5.0  # Hz, of the note's spline filter in mode paper; the note states no value. Assumed.
+NOTE_CUTOFF_HZ = 5.0  # cut-off of the note's spline filter in mode paper, Hz; the note gives no value. Assumed.
 FILTER_S = 0.3  # settling time of a second-order filter at 11 Hz to 1e-6, which gravity means omit at a dwell's start
-MOST_BLOCKS = 12  # means of the specific force in one dwell
-MIN_TILT_SD = 1e-6  # rad, of block means of the direction of gravity: sound arithmetic
+MOST_BLOCKS = 12  # number of means of the specific force in one dwell
+MIN_TILT_SD = 1e-6  # smallest error of block means of the direction of gravity, for sound arithmetic, rad
 
 # ---- mean readings of the dwells
 
@@ -44,9 +44,9 @@ class TableAxes:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DwellMeans:
-    """Mean readings at steady rates, and at rest."""
+    """Mean readings at steady rates and at rest."""
 
-    reading: FloatArray  # (N, 3), mean of each dwell, ``unit``
+    reading: FloatArray  # (N, 3), mean reading in each dwell, ``unit``
     turn_rate: FloatArray  # (N,), achieved rate about +axis, rad/s
     axis: tuple[Axis | None, ...]  # axis of each dwell, None at rest
     noise: FloatArray | None = None  # (N, 3), standard deviation of each mean, or None if unknown
@@ -54,7 +54,7 @@ class DwellMeans:
     up: FloatArray = field(default_factory=lambda: np.ones(1))
     unit: str = "rad/s"  # unit of the readings
     span: FloatArray | None = None  # (N, 2), start and stop of each dwell on a common clock, s, or None if unknown
-    # (3,), step of the codes, 0 or NaN for none, and the variance that they leave in a mean, which is in ``noise`` too
+    # (3,), step of the codes, 0 or NaN for none, and the variance of a mean due to the codes, included in ``noise``
     step: FloatArray = field(default_factory=lambda: np.zeros(3))
     codes: FloatArray = field(default_factory=lambda: np.zeros(3))
     axes: TableAxes | None = None  # axes of the case about which the table turned, or None if ``axis`` is exact
@@ -69,7 +69,7 @@ class DwellMeans:
     def with_rests(
         self, reading: FloatArray, *, noise: FloatArray, span: FloatArray, force: FloatArray
     ) -> "DwellMeans":
-        """Return the dwells with rests (P, 3) after them, and the specific force (N + P, 3) of both."""
+        """Return the dwells followed by rests (P, 3), and the specific force (N + P, 3) of both."""
         count, axes = len(reading), self.axes
         if axes is not None:
             axes = replace(
@@ -95,8 +95,8 @@ def dwell_means(
 ) -> DwellMeans:
     """Average turns at known rates.
 
-    The first ``settle_s`` of each dwell are omitted, but at most half of it. The note's smoothing spline halves the signal at
-    ``cutoff_hz``. It is not applied if ``cutoff_hz`` is None, which leaves the means unchanged.
+    The first ``settle_s`` of each dwell are omitted, but at most half of the dwell. The note's smoothing spline halves the signal
+    at ``cutoff_hz``. It is not applied if ``cutoff_hz`` is None, which leaves the means unchanged.
     """
     parts = [_discard_settling(records[t.recording], t, settle_s) for t in turns]
     windows = smooth = [np.asarray(record.gyro) for record in parts]
@@ -105,7 +105,7 @@ def dwell_means(
     sizes = [block_size(record.sample_rate_hz) for record in records]
     noise = noise_of_means(windows, [sizes[t.recording] for t in turns])
     step = code_steps([records[k] for k in {t.recording for t in turns}], rate=True)
-    # half the variance of successive differences is that of a single reading
+    # half the variance of successive differences is the variance of a single reading
     codes = code_variance(step, np.mean([0.5 * np.diff(window, axis=0).var(axis=0) for window in windows], axis=0))
     return DwellMeans(
         reading=np.array([w.mean(axis=0) for w in smooth]),
@@ -239,7 +239,7 @@ def table_axes(
                 # all dwells measure the same gravity, with the same rounding error
                 codes = accel.matrix[level_axes] / gravity * np.nan_to_num(mean_rounding(readings, windows))
                 direction[place], root = tilt, np.hstack((np.linalg.cholesky(covariance), codes))
-                wobble -= wobble.mean(axis=0)  # the tilt is the mean over these dwells, wobble included
+                wobble -= wobble.mean(axis=0)  # the tilt is the mean over these dwells, including wobble
                 reading = np.linalg.solve(accel.matrix, np.eye(3)[k])  # in g, minus the offset
                 slopes = np.hstack((np.kron(np.eye(3), reading), -accel.matrix / gravity))
                 accel_columns[place] = slopes[level_axes]
@@ -282,7 +282,7 @@ def _tilt_by_gravity(
         ones = np.tile(np.eye(2), (len(part), 1))
         designs.append(np.hstack((ones, rate**2 / gravity * ones)))
         axes.append(ones @ ones.T)  # the axis in the case
-        plates.append(turned @ turned.T)  # and the plate in the frame of the table
+        plates.append(turned @ turned.T)  # and the tilt of the plate in the frame of the table
     force = np.concatenate([part[:, 2:].ravel() for part in parts]) / gravity
     wobble, level = table.wobble_deg * RADIAN_PER_DEGREE, table.table_level_deg * RADIAN_PER_DEGREE
     axis, plate = block_diag(*axes), block_diag(*plates)

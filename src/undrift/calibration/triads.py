@@ -1,15 +1,14 @@
-"""Check that gyroscopes and accelerometers agree on one motion: gravity is constant once the measured rotation is undone.
+"""Check that gyroscopes and accelerometers agree on one motion: gravity is constant after the measured rotation is undone.
 
 A window of some seconds starts at its first sample. With f the specific force over its median length::
 
     kept(P, s) = |mean_k R_k f_k|^2          R_k = R_(k-1) exp(s P w_k dt)         P = 1, s = 1 for columns and unit as declared
 
 ``kept`` is 1 for the right rotation, because motion that ends where it began has no mean acceleration. A wrong rotation smears
-gravity and makes ``kept`` smaller.
-All 48 signed orders P of the axes, and scales s of rate times time, are tested in the windows in which gravity moves most in b. An
-order or unit with a larger ``kept`` than the declared one names the mistake. A rotation about the vertical determines nothing.
-Acceleration with the opposite sign has the same ``kept`` (a point reflection). Only a reference, the axis that should point up, or
-the offsets of a calibration reveal it.
+gravity and makes ``kept`` smaller. All 48 signed orders P of the axes, and scales s of rate times time, are tested in the windows
+in which gravity moves most in b. An order or unit with a larger ``kept`` than the declared one names the mistake. A rotation about
+the vertical does not distinguish them. Acceleration with the opposite sign has the same ``kept`` (a point reflection). Only a
+reference, the axis that should point up, or the offsets of a calibration reveal the sign.
 """
 
 import itertools
@@ -29,31 +28,31 @@ from undrift.record import Record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
 WINDOWS_S = (4.0, 1.0)  # long windows average motion out, but a short recording has only short windows
-STEP_S = 0.02  # step over which rotations are summed (a hand turns by 20 deg in it at most)
+STEP_S = 0.02  # step over which rotations are summed (a hand turns by 20 deg at most in this time)
 MOST_WINDOWS, FEWEST_WINDOWS = 60, {4.0: 4, 1.0: 2}
-MIN_MOVE = 0.1  # in g: gravity moves by 6 deg from one half of a window to the other
-SAMPLES = 200_000  # samples from the start that are used: 12 min at 286 Hz
-# Increase of ``kept`` by the better order or unit, share of g^2. A free pendulum, the worst real case, gains 0.04 by a
-# scale of 0.35: its tangential acceleration hides gravity. It gains 0.013 over no rotation at all.
+MIN_MOVE = 0.1  # smallest movement of gravity, in g: 6 deg from one half of a window to the other
+SAMPLES = 200_000  # number of samples used from the start: 12 min at 286 Hz
+# Smallest increase of ``kept`` by the better order or unit, share of g^2. A free pendulum, the worst real case, gains 0.04 with a
+# scale of 0.35, because its tangential acceleration hides gravity. It gains 0.013 compared with no rotation.
 CLEAR_GAIN, MIN_GAIN = 0.1, 0.015
-MIN_EXPLAINED = 0.02  # smallest increase of ``kept`` over no rotation (for a scale also SCALE_EXPLAINED of its gain)
+MIN_EXPLAINED = 0.02  # smallest increase compared with no rotation (for a scale also SCALE_EXPLAINED of its gain)
 SCALE_EXPLAINED = 0.6
-SIGMAS = 5.0  # times the scatter of the better ``kept``, over the root of the number of windows
+SIGMAS = 5.0  # smallest increase relative to the scatter of the better ``kept``, over the root of the number of windows
 MIN_SCATTER = 0.01
-MIN_KEPT = 0.9  # the better one keeps at least this share
+MIN_KEPT = 0.9  # smallest ``kept`` of the better order or unit
 SAME = 0.01  # difference of ``kept`` below which the motion does not distinguish orders
-ORDINARY = 1.25  # a ratio of scales below it is a device's own
+ORDINARY = 1.25  # a smaller ratio of scales is a property of the device
 # largest scale that is tested, and the scale below which the unit is wrong, not the sample rate
 LARGEST_SCALE, COUNTS = 200.0, 0.12
-LARGEST_OFFSET = 40.0 * RADIAN_PER_DEGREE  # rad/s, in a window whose spread of rates is
-QUIET = 0.2  # relative to the largest spread of a window
+LARGEST_OFFSET = 40.0 * RADIAN_PER_DEGREE  # smallest spread of rates in a window, rad/s
+QUIET = 0.2  # smallest spread relative to the largest spread of a window
 PLAUSIBLE_HZ = (4.0, 5000.0)  # range of sample rates for human motion (outside it the unit of time is tested too)
 TIME_UNITS = {3: "milliseconds", 6: "microseconds", 9: "nanoseconds"}  # names of decades
 UNITS = {
     RADIAN_PER_DEGREE: "gyroscope is in deg/s, not rad/s",
     1.0 / RADIAN_PER_DEGREE: "gyroscope is in rad/s, not deg/s",
 }
-FORCE_FACTOR = 3.0  # no motion keeps the median of the specific force farther from gravity, nor an offset
+FORCE_FACTOR = 3.0  # neither motion nor an offset can move the median of the specific force farther from gravity
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -65,7 +64,7 @@ class _Windows:
     gravity: float  # length of the specific force, m/s2
 
     def kept(self, order: FloatArray, scale: float) -> FloatArray:
-        """Return the squared length of the mean force with the rotation undone, (W,)."""
+        """Return the squared length (W,) of the mean force after the rotation is undone."""
         from undrift.kernels.rotation import strapdown  # imported here for a quick --help
 
         count, length, _ = self.turn.shape
@@ -163,7 +162,7 @@ def _disagreement(record: Record, unit_s: float) -> Finding | None:
     windows = _windows(record, unit_s)
     if windows is None:
         return None
-    # A wrong unit of time is compared with the declared time, in which no window lasts as long: rotation is too fast or slow.
+    # A wrong unit of time is compared with the declared time, in which windows have another length: rotation is too fast or slow.
     unchanged = windows.kept(np.eye(3), 1.0 / unit_s)
     # The length of a mean is at most the mean length, for any rotation.
     longest = np.linalg.norm(windows.force, axis=2).mean(axis=1) ** 2
@@ -206,9 +205,9 @@ class Mistake:
 
     text: str  # "gyroscope is in deg/s, not rad/s"
     action: str
-    kept: FloatArray  # (W,), with the mistake undone
+    kept: FloatArray  # (W,), ``kept`` with the mistake undone
     sample_rate_hz: float = 0.0  # sample rate that the recording would have, or 0 if the rate is right
-    turned_ratio: float = 0.0  # declared rotation over rotation from gravity, or 0 if axes or time are wrong
+    turned_ratio: float = 0.0  # ratio of declared rotation to rotation from gravity, or 0 if axes or time are wrong
 
 
 def _time_mistake(windows: _Windows, unit_s: float) -> Mistake:
@@ -219,7 +218,7 @@ def _time_mistake(windows: _Windows, unit_s: float) -> Mistake:
 
 
 def _mistakes(windows: _Windows, record: Record) -> Iterator[Mistake]:
-    """Yield the best order of the axes, if it is another, and the best scale of rate times time."""
+    """Yield the best order of the axes, if it differs from the declared order, and the best scale of rate times time."""
     places, signs = itertools.permutations(range(3)), itertools.product((1.0, -1.0), repeat=3)
     orders = [np.eye(3)[list(place)] * np.array(sign)[:, None] for place, sign in itertools.product(places, signs)]
     residuals = [windows.kept(order, 1.0) for order in orders]
@@ -239,13 +238,13 @@ def _mistakes(windows: _Windows, record: Record) -> Iterator[Mistake]:
 
 
 def _changes(order: FloatArray) -> int:
-    """Return how many columns of a triad, gyroscope or accelerometer, must be corrected."""
+    """Return the number of columns of a triad (gyroscope or accelerometer) that must be corrected."""
     accel = accel_order(order)
     return min(columns_to_mend(order), 6 if accel is None else columns_to_mend(accel))
 
 
 def _scale_mistake(windows: _Windows, record: Record) -> Iterator[Mistake]:
-    """Yield the unit of the gyroscope, or the sample rate, that the best scale of rate times time means."""
+    """Yield the gyroscope unit or sample rate that corresponds to the best scale of rate times time."""
     grid = np.geomspace(1.0 / LARGEST_SCALE, LARGEST_SCALE, 161)
     means = np.array([windows.kept(np.eye(3), float(scale)).mean() for scale in grid])
     best = int(means.argmax())
@@ -262,15 +261,12 @@ def _scale_mistake(windows: _Windows, record: Record) -> Iterator[Mistake]:
             yield Mistake(text=text, action=action, kept=residuals, turned_ratio=1.0 / unit)
             return
     text = f"turns {1.0 / scale:.3g} times as large as measured with gravity: "
-    if scale < COUNTS:  # no person mistakes a sample rate by as much
+    if scale < COUNTS:  # such a large error of a sample rate is implausible
         text += f"gyroscope is in counts, not deg/s or rad/s ({1.0 / scale:.3g} counts per declared unit)"
         action = "Give the sensitivity: unit count and its scale."
     else:
         rate_hz = record.sample_rate_hz / scale
-        text += (
-            f"the file has {rate_hz:.3g} samples a second, {record.sample_rate_hz:.3g} were declared, or the gyroscope's range is "
-            "another"
-        )
+        text += f"the file has {rate_hz:.3g} samples a second, {record.sample_rate_hz:.3g} were declared, or its range is wrong"
         action = "Correct the sample rate, unit of time or sensitivity."
     residuals = windows.kept(np.eye(3), scale)
     yield Mistake(text=text, action=action, kept=residuals, sample_rate_hz=rate_hz, turned_ratio=1.0 / scale)

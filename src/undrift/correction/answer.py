@@ -1,8 +1,8 @@
-"""What a calibration is good for: the pitch error of a sit-to-stand, from the uncertainty of the calibration.
+"""Suitability of a calibration: the pitch error of a sit-to-stand, from the uncertainty of the calibration.
 
-A person is at rest for R = 5 s, and then leans by A = 45 deg and back, once or again and again, for a time t. The tilt at the start
-is that of gravity at the rest. The offset of the gyroscopes is the mean rate at the rest. To first order, the variance of the pitch
-about an axis p of the device is::
+A person is at rest for R = 5 s, and then leans by A = 45 deg and back, once or repeatedly, for a time t. The tilt at the start is
+determined from gravity at the rest. The offset of the gyroscopes is the mean rate at the rest. To first order, the variance of the
+pitch about an axis p of the device is::
 
     u^2(t) = u_f^2 / g^2 + u_a^2 + A^2 u_pp^2 + A_q^2 sum_q u_pq^2
              + t^2 (N^2 / R + B^2 + m^2 + r^2 + s^2 + sum_c (u_pc <f_c - f_c(0)>)^2) + N^2 t
@@ -11,16 +11,17 @@ about an axis p of the device is::
     u_a     axes of the sensors in the case, if only the size of gravity was used: 0.01 rad, as cross-axis terms of data sheets
     u_pq    error matrix E = dM M^-1 of the gyroscopes: scale factor, and cross-axis terms for turns A_q = 10 deg about the others
     N, B    noise of the rate at the rest and in motion, and flicker of the offset between them
-    m       change of the offset from rest to motion, if the calibration has it fitted
+    m       change of the offset from rest to motion, if the calibration contains it
     r       rounding to codes at the rest: the share of codes in the offset of the calibration, times the root of its rests
     s       a third of a code step, if codes are truncated toward zero and the offset is within a step of zero
     u_pc    g-sensitivity of the gyroscopes, for the mean change of the specific force during a lean
 
-Not counted: codes that the calibration did not identify, and the delay of a slow filter while the device turns.
+Codes that the calibration did not identify, and the delay of a slow filter while the device turns, are not counted.
 
-Without a rest, the offset is that of the calibration. Its covariance, and its changes at a switch-on, with temperature and from
-rest to motion, take the place of N^2 / R, m^2 and r^2. The limit is 1.96 u for the least certain axis p and vertical. Without
-gyroscopes it has the first two terms only. Without an accelerometer it has the others, for a change of the pitch.
+Without a rest, the offset is taken from the calibration. Its covariance, and its changes at a switch-on, with temperature and from
+rest to motion, replace N^2 / R, m^2 and r^2. The limit is 1.96 u for the least certain axis p and vertical. Without gyroscopes, the
+limit contains only the first two terms. Without an accelerometer, it contains the other terms, and applies to a change of the
+pitch.
 """
 
 import math
@@ -36,11 +37,11 @@ from undrift.model import AXES, G_NAMES, MATRIX_NAMES, Calibration, TriadModel
 from undrift.record import TemperatureSensitivity
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
-TASK_S = (5.0, 60.0)  # one sit-to-stand, and a minute of them
+TASK_S = (5.0, 60.0)  # duration of one sit-to-stand, and of repeated ones
 REST_S = 5.0
 LEAN, TURN = 45.0 * RADIAN_PER_DEGREE, 10.0 * RADIAN_PER_DEGREE
 WITHIN_K = UNKNOWN_K  # distance from the temperature of the calibration up to which the answer holds
-# rad, error that a clinic accepts: J. L. McGinley et al., Gait and Posture 29, 360-369, 2009 [figure not compared]
+# error that a clinic accepts, rad: J. L. McGinley et al., Gait and Posture 29, 360-369, 2009 [figure not compared]
 ACCEPTED = 2.0 * RADIAN_PER_DEGREE
 OF_CASE = ("six-face", "reference")  # methods of accelerometers that determine the axes of the case
 NORMAL_95 = 1.96
@@ -55,7 +56,7 @@ def pitch_limits(calibration: Calibration, *, rested: bool = True, away_k: float
     models = [model for model in (accel, gyro) if model is not None]
     if not models or any(not np.isfinite(model.covariance).all() or not model.covariance.any() for model in models):
         return None
-    variance = np.zeros((3, 2, 2))  # about each axis, with each other axis up, after each time
+    variance = np.zeros((3, 2, 2))  # variances about each axis, with each other axis up, after each time
     if accel is not None:
         variance += _tilt_variance(calibration, accel, away_k)[:, :, None]
     if gyro is not None:
@@ -69,7 +70,7 @@ def pitch_limits(calibration: Calibration, *, rested: bool = True, away_k: float
 def answer_sentence(calibration: Calibration) -> str:
     """Return one or two sentences on suitable and unsuitable uses of a calibration."""
     if calibration.verdict.status == "bad":
-        return "Do not use this calibration, because a number of it may be wrong. The findings say why."
+        return "Do not use this calibration, because one of its numbers may be wrong. The findings give the reason."
     limits = pitch_limits(calibration, away_k=WITHIN_K)
     if limits is None:
         return "This calibration has no uncertainty, so its accuracy in use is unknown."
@@ -89,7 +90,7 @@ def answer_sentence(calibration: Calibration) -> str:
 
 
 def _beyond(calibration: Calibration) -> str:
-    """Return the temperatures for which a calibration is not good."""
+    """Return the temperatures for which a calibration is not suitable."""
     static = None if calibration.drift is None else calibration.drift.static
     if static is not None:
         return f"below {static.temp_c[0]:.0f} or above {static.temp_c[-1]:.0f} degC"
@@ -118,7 +119,7 @@ _POSTURES = [  # axis of the pitch and number of the posture, with the axes that
 
 
 def _rotation_variance(calibration: Calibration, gyro: TriadModel, away_k: float) -> FloatArray:
-    """Return the variance of the pitch by the rotations of the task, about each axis, (3,), rad^2."""
+    """Return the variance of the pitch due to the rotations of the task, about each axis, (3,), rad^2."""
     inverse = gyro.forward_matrix
     rows = [gyro.covariance_of(MATRIX_NAMES[3 * axis : 3 * axis + 3]) for axis in range(3)]
     error = np.einsum("cq,acd,dq->aq", inverse, np.array(rows), inverse)
@@ -153,7 +154,7 @@ def _rate_variance(calibration: Calibration, gyro: TriadModel, *, rested: bool, 
 
 
 def _rest_code_variance(calibration: Calibration, gyro: TriadModel) -> FloatArray:
-    """Return the variance of the mean of a rest by rounding to codes, (3,), (rad/s)^2."""
+    """Return the variance of the mean of a rest due to rounding to codes, (3,), (rad/s)^2."""
     rests = str(dict(calibration.provenance.settings).get("stills", "")).partition(" ")[0]
     if gyro.budget is None or "adc" not in gyro.budget.sources or not rests.isdigit():
         return np.zeros(3)

@@ -1,4 +1,4 @@
-"""Is it the device of the calibration? At rest, corrected readings leave gravity only, and no rate."""
+"""Check that a record comes from the device of its calibration: at rest, corrected readings contain gravity only, and no rate."""
 
 import math
 
@@ -19,7 +19,7 @@ FAR_SIGMAS = 4.0
 # Standard deviation at rest of a sound device in addition to the calibration's uncertainty: turn-on and ageing from
 # data sheets of consumer parts [assumed], local gravity elsewhere (0.15 %), and the Earth's rate.
 LEFT_ACCEL, LEFT_RATE = 0.010 * STANDARD_GRAVITY, 0.25 * RADIAN_PER_DEGREE
-LEAST_LEFT, REVERSED = 0.02 * STANDARD_GRAVITY, 0.25  # m/s2 as read, and the share of it that the opposite sign leaves
+LEAST_LEFT, REVERSED = 0.02 * STANDARD_GRAVITY, 0.25  # raw deviation, m/s2, and remaining share with the opposite sign
 UNKNOWN_DEPARTURE_K = 10.0  # assumed distance if recording or calibration has no temperature
 
 
@@ -33,7 +33,7 @@ def check_corrected(
     """
     from undrift.io.symptoms import find_saturated
 
-    has_both = calibration.gyro is not None and calibration.accel is not None  # otherwise they have different frames
+    has_both = calibration.gyro is not None and calibration.accel is not None  # otherwise frames differ
     agreement = check_agreement(record) if has_both else ()
     return (*find_saturated(raw), *padding(raw, unpadded(raw)), *agreement, *check_device(record, calibration, stills))
 
@@ -53,7 +53,7 @@ def check_device(
     rests = [still for still in stills if still.stop <= len(record) and whole[still.start : still.stop].all()]
     if not rests:
         return ()
-    local_gravity = calibration.gravity_m_s2  # parameters of other programs do not state it
+    local_gravity = calibration.gravity_m_s2  # parameters of other programs do not contain an uncertainty
     gravity = local_gravity if np.isfinite(local_gravity) else STANDARD_GRAVITY
     departure_k, usual = _departure_k(record, calibration), TemperatureSensitivity()
     tabled = calibration.drift is not None and calibration.drift.static is not None
@@ -66,7 +66,7 @@ def check_device(
         if model is None or name not in readings:
             continue
         means = np.array([readings[name][rest.start : rest.stop].mean(axis=0) for rest in rests])
-        fit = float(np.sqrt(np.nansum(np.diag(model.offset_covariance)))) * triad.si  # other programs state none
+        fit = float(np.sqrt(np.nansum(np.diag(model.offset_covariance)))) * triad.si  # 0 from other programs
         rms = deviation[name] = _rms(np.linalg.norm(means, axis=1) - ideal)
         expected[name] = math.hypot(fit, residual_sigma, 0.0 if tabled else sigma_per_k * departure_k)
         # readings with the opposite sign: M (-u - o) = -f - 2 M o, of f = M (u - o)
@@ -84,7 +84,7 @@ def check_device(
         return (finding("correct.accel_reversed", "warn", sentence, action),)
     rate = f"the rate by {deviation['gyro'] / dps:.3g} deg/s (usual: {expected['gyro'] / dps:.2g})"
     sentence = f"This may be the calibration of another device: at {len(rests)} rests {force} and {rate}."
-    action = "Name the calibration of this device, or calibrate it again."
+    action = "Give the calibration of this device, or calibrate the device again."
     return (finding("correct.other_device", "warn", sentence, action),)
 
 
@@ -93,7 +93,7 @@ def _rms(values: FloatArray) -> float:
 
 
 def _departure_k(record: Record, calibration: Calibration) -> float:
-    """Return the mean distance of the recording from the temperature of the calibration."""
+    """Return the mean difference between the temperatures of recording and calibration."""
     temp_c = np.full(1, np.nan) if record.temp_c is None else record.temp_c
     distance = np.abs(temp_c - calibration.reference_temp_c)
     return float(np.nanmean(distance)) if np.isfinite(distance).any() else UNKNOWN_DEPARTURE_K

@@ -15,7 +15,7 @@ For a reading u (3,) at temperature T, in this order::
 
 A table replaces its constant. The two are never added. T is the temperature of the sensors: the lag of the thermometer is
 subtracted if the calibration has one. Beyond its ends a table keeps its end values. ``policy`` decides whether a temperature beyond
-the table is an error, uses the end value, or becomes a gap. Without a temperature the result is a gap under every policy.
+the table raises an error, gets the end value, or becomes a gap. Without a temperature the result is a gap under every policy.
 
 ``_evaluate_triad`` contains steps 1 to 5. Only the lag of the thermometer and the search for turns use other samples. Both are
 causal, and pass their state to the next chunk of a stream.
@@ -95,7 +95,7 @@ def _evaluate(record: Record, plans: Plans, conditions: Conditions, outputs: Buf
     if gyro is not None and accel is not None and g is not None and plain and not row_conditions.since.size:
         affine_pair(u, v, w, a, gyro.matrix.ravel(), gyro.offset, accel.matrix.ravel(), accel.offset, g.ravel())
         return NOWHERE  # both triads in one pass over the memory
-    if accel is not None:  # first, since step 4 needs a
+    if accel is not None:  # accelerometers first, because step 4 needs a
         _evaluate_triad(accel, v, row_conditions, NOTHING, a)
     return NOWHERE if gyro is None else _evaluate_triad(gyro, u, row_conditions, NOTHING if g is None else a, w)
 
@@ -111,20 +111,20 @@ class Corrected:
     record: Record  # rad/s and m/s2 in frame b, state corrected
     outside: BoolArray  # temperatures beyond a tuning table
     extrapolated: BoolArray  # temperatures and rates at nodes of a table without nearby data
-    missing: BoolArray  # no temperature for a table, with NaN as the result under every policy
+    missing: BoolArray  # samples without a temperature for a table; the result is NaN under every policy
     # readings beyond the calibration (level warn), errors that it does not correct (info)
     findings: tuple[Finding, ...]
-    reach: Reach  # samples and seconds of each mask, with the span of temperature and rate
+    reach: Reach  # number of samples and seconds in each mask, with the range of temperature and rate
     rest: RemainingOffset | None = None  # offset that was subtracted, with its uncertainty
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Texts of the findings of level warn."""
+        """Return the texts of the findings of level warn."""
         return tuple(item.text for item in self.findings if item.level == "warn")
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Texts of the findings of level info."""
+        """Return the texts of the findings of level info."""
         return tuple(item.text for item in self.findings if item.level == "info")
 
 
@@ -154,7 +154,8 @@ def correct(
         "rest" subtracts the mean rate at the first still phase, including any true slow turn. "motion" also subtracts the
         offset that gravity determines in motion. An object subtracts a known offset.
     check : bool
-        If True, check that gyroscope and accelerometer agree and that rests fit the calibration, in some tens of milliseconds.
+        If True, check that gyroscope and accelerometer agree and that rests fit the calibration, which takes some tens of
+        milliseconds.
 
     Returns
     -------
@@ -296,7 +297,7 @@ class Corrector:
     calibration, policy, power_on_s
         As for ``correct_checked``.
     offset : RemainingOffset, optional
-        Offset that is subtracted from every chunk. ``find_rest_offset`` finds it in the first corrected chunks, joined.
+        Offset that is subtracted from every chunk. ``find_rest_offset`` computes this offset from the first corrected chunks.
 
     Examples
     --------
@@ -321,21 +322,22 @@ class Corrector:
         offset: RemainingOffset | None = None,
     ) -> None:
         check_choice(policy, Policy, "correct", "policy")
-        carry_at_start(0.0, power_on_s)  # refused now rather than at the first chunk
+        carry_at_start(0.0, power_on_s)  # refuse now rather than at the first chunk
         self._calibration, self._policy = calibration, policy
         self._power_on_s, self._offset = power_on_s, offset
         self._plans: dict[tuple[str, str, bool, bool, bool], Plans] = {}
-        self.state = Carry()  # may be saved, and put back by assignment
+        self.state = Carry()  # state, which may be saved and restored by assignment
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Findings of the stream so far, each once, identical to the findings of a batch."""
+        """Return the findings of the stream so far, each once. They are identical to the findings of a batch."""
         return coverage.coverage_findings(self.state.reach, self._calibration)
 
     def push(self, chunk: Record) -> Record:
         """Return the next chunk of raw readings, which must follow the previous chunk, corrected.
 
-        It raises as ``correct`` does, and for a chunk that does not follow in time. The state is then unchanged.
+        It raises the exceptions of ``correct``, and InputError for a chunk that does not follow in time. The state is then
+        unchanged.
         """
         corrected = self.push_checked(chunk)
         for text in corrected.warnings:
@@ -343,7 +345,7 @@ class Corrector:
         return corrected.record
 
     def push_checked(self, chunk: Record, *, out: Buffers | None = None, threads: int | None = None) -> Corrected:
-        """Correct the next chunk, as ``push``, and return it with masks and findings of this chunk."""
+        """Correct the next chunk, as ``push`` does, and return it with its masks and findings."""
         time, before = chunk.time, self.state.last_time
         if before is not None and time[0] <= before:
             raise InputError(
@@ -380,7 +382,7 @@ class Corrector:
             calibration.magnetometer is not None and field is not None
         ):  # step 8 (without rates its lag is not corrected)
             field = calibration.magnetometer.corrected(field, outputs[0] if len(outputs[0]) else None)
-        unmarked = np.broadcast_to(np.False_, len(chunk))  # fresh memory costs as much as a tenth of the kernel
+        unmarked = np.broadcast_to(np.False_, len(chunk))  # allocating memory takes a tenth of the kernel's time
         corrected = Corrected(
             record=chunk.computed(
                 gyro=None if plans[0] is None else outputs[0],

@@ -22,7 +22,7 @@ from undrift.record import Record
 from undrift.units import si_factor
 
 REFERENCE_SPAN_C = 5.0  # distance from the reference temperature within which constant offsets are assumed to apply
-ON_NODE = 1e-9  # in cells: a value so near to a node uses that node only
+ON_NODE = 1e-9  # in cells: a value this near to a node uses that node only
 
 
 def seconds_of(mask: BoolArray | None, time: FloatArray, before: float | None) -> float:
@@ -41,7 +41,7 @@ def find_outside(
 ) -> BoolArray | None:
     """Find the samples whose temperature is beyond a tuning table, or return None.
 
-    Unless ``allowed``, such a sample is an error, and so is a temperature far beyond the data of the table.
+    Unless ``allowed``, raise for such a sample, and for a temperature far beyond the data of the table.
     """
     ranges = [plan.temp_range for plan in plans if plan is not None and plan.tables]
     if not ranges:
@@ -69,7 +69,7 @@ def find_outside(
 
 
 def _other_unit(least: float, greatest: float, table: Span) -> str:
-    """Return the unit of temperature that would put the readings inside a table, as a question."""
+    """Return, as a question, the unit of temperature for which the readings would be inside a table."""
     for unit, scale, zero in (("degF", 1.0 / 1.8, 32.0), ("K", 1.0, 273.15)):
         if table[0] <= (least - zero) * scale and (greatest - zero) * scale <= table[1]:
             return f" (is the temperature in {unit}, not degC?)"
@@ -123,7 +123,7 @@ def temperature_reach(temp_c: FloatArray, calibration: Calibration, plans: Plans
 
 
 def extremes(values: FloatArray) -> Span:
-    """Return minimum and maximum without gaps. The plain reductions are several times faster, and NaN with gaps."""
+    """Return minimum and maximum without gaps. The plain reductions are several times faster, but return NaN if there are gaps."""
     least, greatest = float(values.min()), float(values.max())
     if np.isnan(least):
         return float(np.fmin.reduce(values, axis=None)), float(np.fmax.reduce(values, axis=None))
@@ -138,7 +138,7 @@ def coverage_findings(reach: Reach, calibration: Calibration) -> tuple[Finding, 
     drift, findings = calibration.drift, list[Finding]()
     extend = "Extend the thermal session to these temperatures and rates."
     if (seconds := reach.seconds_without_temperature) > 0.0:
-        sentence = f"The drift table has no temperature for {seconds:.1f} s, and the result is a gap (NaN) there."
+        sentence = f"The drift table has no temperature for {seconds:.1f} s, so the result is a gap (NaN) there."
         findings.append(
             finding("correct.no_temperature", "warn", sentence, "Fill in the temperature.", seconds=seconds)
         )
@@ -154,7 +154,7 @@ def coverage_findings(reach: Reach, calibration: Calibration) -> tuple[Finding, 
         findings.append(finding("correct.outside", "warn", sentence, extend, seconds=seconds))
     if (departure := reach.departure_c) > REFERENCE_SPAN_C:
         size, reference_c = told_apart(departure, ".1f", REFERENCE_SPAN_C), calibration.reference_temp_c
-        sentence = f"The temperature departs by up to {size} degC from the reference, {reference_c:.1f} degC. Constant offsets are "
+        sentence = f"The temperature differs by up to {size} degC from the reference, {reference_c:.1f} degC. Constant offsets are "
         sentence += f"valid within {REFERENCE_SPAN_C:g} degC."
         action = "Fit a drift table (undrift drift)."
         findings.append(finding("correct.departure", "warn", sentence, action, departure_c=departure))
@@ -179,7 +179,7 @@ def model_findings(record: Record, calibration: Calibration, carry: Carry) -> tu
     ]
     if record.device and calibration.device and record.device != calibration.device:
         sentence = f"The recording is of device {record.device}, and the calibration is of device {calibration.device}."
-        findings.append(finding("correct.device", "warn", sentence, "Check that both belong together."))
+        findings.append(finding("correct.device", "warn", sentence, "Check that they belong together."))
     gyro, warm_up = calibration.gyro, calibration.triad("gyro").warm_up
     if record.gyro is not None and gyro is not None and warm_up is not None and carry.power_on_time is None:
         rates = warm_up.gyro_offset @ gyro.matrix.T * si_factor(gyro.unit_out, "rate")

@@ -29,14 +29,14 @@ from undrift.record import Record
 from undrift.segments import unpadded
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 
-STRETCH_S, SHORT_S = 300.0, 25.0  # s, of a stretch, of those from which a start is found
-WALK = 2e-4 * RADIAN_PER_DEGREE  # rad/s/sqrt(s), of a consumer gyroscope's offset [assumed]
-# m/s2, offset of accelerometers, and share by which their size of gravity is off: calibrated, and by data sheets [assumed]
+STRETCH_S, SHORT_S = 300.0, 25.0  # length of a stretch, and of stretches for the initial estimate, s
+WALK = 2e-4 * RADIAN_PER_DEGREE  # random walk of a consumer gyroscope's offset, rad/s/sqrt(s) [assumed]
+# offset of accelerometers, m/s2, and relative error of their size of gravity: calibrated, and from data sheets [assumed]
 CALIBRATED, RAW = (0.05, 0.005), (0.5, 0.03)
-# rad/s, of an offset without a rest: turn-on repeatability of a calibrated device, and a raw one's zero-rate output [assumed]
+# offset without a rest, rad/s: turn-on repeatability of a calibrated device, and zero-rate output of a raw device [assumed]
 CALIBRATED_RATE, RAW_RATE = 0.1 * RADIAN_PER_DEGREE, 1.0 * RADIAN_PER_DEGREE
 _UNRESTED = 1.6  # ratio of actual to computed error without a rest, for 30 simulated people who move freely
-_LOOSE = 1.0 * RADIAN_PER_DEGREE  # rad/s, of the offset while the sizes are sought
+_LOOSE = 1.0 * RADIAN_PER_DEGREE  # standard deviation of the offset while the sizes are estimated, rad/s
 _FIXED = 1e-9  # error of the rates, while the sizes are estimated
 _ROUNDS, _SETTLED = 8, 1e-7  # linearisations, and final change in rad/s
 
@@ -46,7 +46,7 @@ class MotionFit:
     """Offset of the gyroscopes, and the vertical at the start, from gravity in motion."""
 
     offset: RemainingOffset
-    vertical: FloatArray  # (3,), specific force at rest in the attitude of the first sample, m/s2, frame b there
+    vertical: FloatArray  # (3,), specific force at rest in the attitude and frame b of the first sample, m/s2
     vertical_covariance: FloatArray  # (3, 3), (m/s2)^2
 
 
@@ -55,7 +55,7 @@ def fit_motion(record: Record, rest: RemainingOffset | None, model: TriadModel |
     record = unpadded(record)
     advice = "Record with a pause at rest." if rest is None else "Use `offset` rest."
     if record.gyro is None or record.accel is None:
-        raise InputError(f"offset from motion: rates and specific force are needed, got one of them. {advice}")
+        raise InputError(f"offset from motion: rates and specific force are needed, but one is missing. {advice}")
     gaps = int((~np.isfinite(np.hstack((record.gyro, record.accel)))).any(axis=1).sum())
     if gaps or record.duration_s < LEAST_IN_MOTION_S:
         got = f"{gaps} gaps (NaN)" if gaps else f"{record.duration_s:.3g} s"
@@ -65,7 +65,7 @@ def fit_motion(record: Record, rest: RemainingOffset | None, model: TriadModel |
     prior = _prior_without_rest(model) if rest is None else rest.covariance[0] + np.eye(3) * axis_moved_by(model) ** 2
     usual = np.zeros(3) if rest is None else rest.mean
     stretches, theta, information = _fit_stretches(record, usual, usual, prior, STRETCH_S)
-    if rest is None:  # over a whole recording the vertical may turn too far for a linearisation about no offset
+    if rest is None:  # over a whole recording, the vertical may turn too far for a linearisation about zero offset
         pieces, short, _ = _fit_stretches(record, usual, usual, prior, SHORT_S)
         initial = short[: 3 * len(pieces)].reshape(-1, 3).mean(axis=0)
         other = _fit_stretches(record, initial, usual, prior, STRETCH_S)
@@ -73,7 +73,7 @@ def fit_motion(record: Record, rest: RemainingOffset | None, model: TriadModel |
             stretches, theta, information = other
     covariance, count = np.linalg.inv(information), 3 * len(stretches)
     covariance *= _UNRESTED**2 if rest is None else 1.0
-    if (matrix_sigma := matrix_deviation(record, model)) is not None:  # E turns gravity as an offset does
+    if (matrix_sigma := matrix_deviation(record, model)) is not None:  # E turns gravity in the same way as an offset
         answers = offset_gains(record, theta[:count].reshape(-1, 3).mean(axis=0), usual, prior, np.asarray(record.gyro))
         covariance += (answers * matrix_sigma.ravel() ** 2) @ answers.T
     first = np.r_[:3, count : count + 3]
@@ -107,9 +107,9 @@ def _fit_stretches(
     stretch_s: float,
     rate_errors: FloatArray | None = None,
 ) -> tuple[list[CarriedMeans], FloatArray, FloatArray]:
-    """Return stretches of about a length, offsets of each and of the accelerometers, and the information, from ``initial``.
+    """Return stretches of roughly a given length, their offsets, the accelerometer offset, and the information, from ``initial``.
 
-    With ``rate_errors`` (N, C), do one step, with the information of errors x_c e_b of the rates as well.
+    With ``rate_errors`` (N, C), do one step, and include the information about errors x_c e_b of the rates.
     """
     edges = np.linspace(0, len(record), max(1, round(record.duration_s / stretch_s)) + 1).astype(int)
     force, rate, error = np.asarray(record.accel), np.asarray(record.gyro), record.accel_uncertainty

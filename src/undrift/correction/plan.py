@@ -13,9 +13,9 @@ nodes t_0 < ... < t_n is linear between them and constant beyond its ends. In ce
     one dimension    y = y_i + f (y_(i+1) - y_i)
     two dimensions   y = c0 + f c1 + r c2 + f r c3        r is the fraction along the second axis
 
-Nodes that are whole multiples of a step (a rate grid with a gap around zero) are extended to an even grid. This changes no value,
-and one multiplication determines the cell. Cells of other nodes are searched. Tables are over the temperature of the sensors. A
-causal filter with state subtracts the lag of the thermometer (drift/temperature.py).
+Nodes that are whole multiples of a step (a rate grid with a gap around zero) are extended to an even grid. This does not change any
+value, and one multiplication determines the cell. Cells of other nodes are found by bisection. Tables are over the temperature of
+the sensors. A causal filter with state subtracts the lag of the thermometer (drift/temperature.py).
 """
 
 from collections.abc import Callable
@@ -41,7 +41,7 @@ Span: TypeAlias = tuple[float, float]  # least and greatest
 EVERYWHERE: Span = (-np.inf, np.inf)
 NOWHERE: Span = (np.inf, -np.inf)
 EVEN_WITHIN = 1e-9  # in steps
-THREADS_FROM = 100_000  # samples from which a second thread is worthwhile
+THREADS_FROM = 100_000  # number of samples above which a second thread is worthwhile
 
 T = TypeVar("T")
 
@@ -68,12 +68,12 @@ def evened(nodes: FloatArray) -> Grid:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LookupTable:
-    """Values over temperature, or over temperature and rate."""
+    """Table of values over temperature, or over temperature and rate."""
 
     temp: Grid  # temperatures, degC, or for the warm-up the time since power-on, s
     turn_rate: Grid | None = None  # measured rates, rad/s, or None for a table over temperature only
     values: FloatArray  # (n, c), or (n, k, c), c values at each node
-    extrapolated: BoolArray | None = None  # (n,) or (n, k), of the nodes of the fit: True if no data were near
+    extrapolated: BoolArray | None = None  # (n,) or (n, k), nodes of the fit: True if there were no data nearby
 
     def evened(self) -> "LookupTable":
         """Return the table with its axes extended to even grids, if possible."""
@@ -85,7 +85,7 @@ class LookupTable:
 
 
 def _filled(grid: Grid | None, even: Grid, values: FloatArray) -> FloatArray:
-    """Return values (n, ...) at the nodes of a grid at all nodes of the even grid, on straight lines between them."""
+    """Return values (n, ...) at the nodes of a grid, linearly interpolated to all nodes of the even grid."""
     return values if grid is None or even.cells == grid.cells else interpolated(even.nodes, grid.nodes, values)
 
 
@@ -95,10 +95,10 @@ class Constants:
 
     name: Sensor
     unit_in: str  # unit of the readings
-    matrix: FloatArray  # (3, 3), SI per unit of the readings
-    offset: FloatArray  # (3,), unit of the readings, minus half a step if codes are rounded down
-    half_step: FloatArray | None = None  # (3,), unit of the readings, if codes are cut off toward zero, or fitted
-    at_rest: FloatArray | None = None  # (3,), rad/s, added while the device does not turn, or None if it was not fitted
+    matrix: FloatArray  # (3, 3), SI unit per unit of the readings
+    offset: FloatArray  # (3,), offset, unit of the readings, minus half a step if codes are rounded down
+    half_step: FloatArray | None = None  # (3,), half a code step if truncated, or fitted, unit of the readings
+    at_rest: FloatArray | None = None  # (3,), rate added while the device does not turn, rad/s
     g_sensitivity: FloatArray | None = None  # (3, 3), rad/s per m/s2
     offset_table: LookupTable | None = None  # in the same units
     matrix_table: LookupTable | None = None
@@ -119,7 +119,7 @@ class Constants:
 
     @cached_property
     def cells(self) -> Tables | None:
-        """Cells of the tables over temperature, with an empty array for a missing table, or None without a table."""
+        """Return the cells of the tables over temperature, with an empty array for a missing table, or None without tables."""
         if not self.tables:
             return None
         unused = Grid(np.zeros(2), 0.0, 0.0, 1)
@@ -183,7 +183,7 @@ def _line(nodes: FloatArray, values: FloatArray, extrapolated: BoolArray | None 
 
 
 def _input_factor(model: TriadModel, unit: str, sensor: Sensor, quantity: Quantity) -> float:
-    """Return the factor from the unit of the readings to the model's."""
+    """Return the factor from the unit of the readings to the unit of the model."""
     if unit == model.unit_in:
         return 1.0
     if not (is_physical(unit) and is_physical(model.unit_in)):
@@ -207,7 +207,7 @@ def force_uncertainty(calibration: Calibration, unit: str) -> ForceUncertainty |
         return None
     matrix, covariance = model.matrix * triad.si, error_covariance(model)
     spans = [np.full(2, calibration.reference_temp_c)] * 2
-    if triad.offsets is not None:  # in the place of the constant
+    if triad.offsets is not None:  # the table replaces the constant
         u = triad.offsets.uncertainty
         largest = np.zeros(3) if u is None else np.nan_to_num(u).max(axis=0)  # value of the worst node
         covariance[9:], covariance[:, 9:] = 0.0, 0.0
@@ -237,7 +237,7 @@ def error_covariance(model: TriadModel) -> FloatArray:
     return np.asarray(jacobian @ model.covariance_of((*MATRIX_NAMES, *OFFSET_NAMES)) @ jacobian.T)
 
 
-# ---- the constants as the kernels take them
+# ---- the constants in the form that the kernels need
 
 
 Plans: TypeAlias = tuple[Constants | None, Constants | None]  # gyroscopes, accelerometers (None if not recorded)
@@ -289,8 +289,8 @@ class Reach:
 
     samples: int = 0
     samples_outside: int = 0  # beyond the tuning tables
-    samples_extrapolated: int = 0  # inside them at nodes that no data were near
-    samples_without_temperature: int = 0  # needed by the tables (the result is a gap under every policy)
+    samples_extrapolated: int = 0  # inside the tables, at nodes without nearby data
+    samples_without_temperature: int = 0  # missing for the tables (the result is a gap under every policy)
     seconds_outside: float = 0.0
     seconds_extrapolated: float = 0.0
     seconds_without_temperature: float = 0.0
@@ -299,7 +299,7 @@ class Reach:
     turn_rate: Span = NOWHERE  # measured rate in the dynamic table, rad/s, or (inf, -inf) without the table
 
     def joined(self, later: "Reach") -> "Reach":
-        """Return the reach of both."""
+        """Return the combined range of both."""
         counts = [name for name in Reach.__slots__ if name.startswith(("samples", "seconds"))]
         return Reach(
             **{name: getattr(self, name) + getattr(later, name) for name in counts},
@@ -318,7 +318,7 @@ def hull(*spans: Span) -> Span:
 class Carry:
     """State passed from one chunk of a stream to the next."""
 
-    power_on_time: float | None = None  # on the recording's clock, s, or None if unknown
+    power_on_time: float | None = None  # time of power-on on the recording's clock, s, or None if unknown
     lag: tuple[float, ...] = NO_READING  # state of the filter that subtracts the thermometer's lag
     last_time: float | None = None  # time of the last sample, s, or None before the first
     turning: tuple[float, ...] = NOT_TURNING  # state of the search for turns
@@ -361,7 +361,7 @@ def conditions_of(record: Record, calibration: Calibration, plans: Plans, carry:
     return Conditions(temp_c, since), replace(carry, lag=lag, last_time=float(record.time[-1]))
 
 
-# ---- pieces of a long record, a thread each: the kernels let other threads run, and no sample looks at another
+# ---- pieces of a long record, one thread each: the kernels release the interpreter lock, and samples are independent
 
 
 def flat(values: FloatArray | None, rows: slice) -> FloatArray:
@@ -370,7 +370,7 @@ def flat(values: FloatArray | None, rows: slice) -> FloatArray:
 
 
 def in_pieces(work: Callable[[slice], T], n: int, threads: int | None) -> list[T]:
-    """Call the work with slices of n samples, each in its own thread."""
+    """Call a function with slices of n samples, each in its own thread."""
     count = workers.processors() if threads is None and n >= THREADS_FROM else threads or 1
     bounds = [n * i // count for i in range(count + 1)]
     pieces = [slice(start, stop) for start, stop in pairwise(bounds) if stop > start]

@@ -1,14 +1,14 @@
 """Remaining offset of the gyroscopes at a rest, and uncertainty of the direction of gravity there.
 
-The mean rate at a rest, which the calibration left, is subtracted from the whole recording.
+The mean rate that remains at a rest after the calibration is subtracted from the whole recording.
 
 ::
 
     w'(t) = w(t) - r        r = mean of w over the rest        var r = var of the mean, with the correlation between samples
 
-It removes the offset at that time for any cause (turn-on, ageing, hysteresis), and also any true slow turn. It removes no scale or
-rate-dependent error, and no offset that changes afterwards. The rest is the first still phase in the first half hour of the
-corrected readings, or a given stretch.
+This removes the offset at that time whatever its cause (turn-on, ageing, hysteresis), and also any true slow turn. It does not
+remove scale errors, rate-dependent errors, or later changes of the offset. The rest is the first still phase in the first half hour
+of the corrected readings, or a given stretch.
 """
 
 import math
@@ -28,13 +28,13 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 
 FOUND_IN_S = 1800.0  # limit of the search, so that a stream in chunks finds the same rest as the whole recording
 LEAST_IN_MOTION_S = 20.0  # shortest recording whose motion determines the vertical and the remaining offset
-FEWEST = 10  # samples needed to estimate their scatter
-# rad/s, of an axis' offset from rest to motion: two thirds of half a step of 16 bits over +-2000 deg/s [assumed]
+FEWEST = 10  # smallest number of samples from which their scatter is estimated
+# change of an axis' offset from rest to motion, rad/s: two thirds of half a step of 16 bits over +-2000 deg/s [assumed]
 MOVED = 0.02 * RADIAN_PER_DEGREE
-# rad/s, deviation of a recording's change from a fitted change of its device: BROAD, three devices, rounded up
+# deviation of a recording's change from the fitted change of its device, rad/s: BROAD, three devices, rounded up
 MOVED_AGAIN = 0.005 * RADIAN_PER_DEGREE
 KEPT = 0.7  # share of the prior deviation above which the motion does not determine an axis
-IN_MOTION = ("reference/motion", "reference/common")  # methods of a triad whose offset is that in motion already
+IN_MOTION = ("reference/motion", "reference/common")  # methods of a triad whose offset already applies in motion
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -46,7 +46,7 @@ class RemainingOffset:
     covariance: Annotated[FloatArray, Shape("s", 3, 3)]  # covariance of the rate, (rad/s)^2
     rest_s: tuple[float, float] | None  # first and last sample of the rest, or None without a rest
     stills: tuple[Still, ...] | None = None  # all rests found in the search, or None for a given stretch
-    moved: float  # rad/s, standard uncertainty of the change from rest to motion, all axes together
+    moved: float  # standard uncertainty of the change from rest to motion, all axes together, rad/s
     prior: Vector = None  # standard deviation before the motion was used, rad/s, or None for the mean of a rest
 
     def __post_init__(self) -> None:
@@ -65,23 +65,23 @@ class RemainingOffset:
 
     @property
     def uncertainty(self) -> float:
-        """Standard uncertainty in motion, worst stretch, all axes together, rad/s."""
+        """Return the standard uncertainty in motion in the worst stretch, all axes together, rad/s."""
         return float(np.sqrt(np.trace(self.covariance, axis1=1, axis2=2).max() + self.moved**2))
 
     @property
     def deviation(self) -> FloatArray:
-        """Standard uncertainty of each axis in motion, worst stretch, (3,), rad/s."""
+        """Return the standard uncertainty of each axis in motion in the worst stretch, (3,), rad/s."""
         return np.asarray(np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2).max(axis=0) + self.moved**2 / 3.0))
 
     @property
     def figures(self) -> dict[str, Any]:
-        """The offset that was subtracted, as JSON has it."""
+        """Return the subtracted offset for JSON."""
         rate, uncertainty = self.mean / RADIAN_PER_DEGREE, self.deviation / RADIAN_PER_DEGREE
         return {"rest_s": self.rest_s, "offset_dps": rate, "offset_uncertainty_dps": uncertainty}
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """The offset that was subtracted, and the axes whose offset the motion does not determine."""
+        """Return findings about the subtracted offset, and about axes whose offset the motion does not determine."""
         rate, uncertainty = (
             ", ".join(f"{axis / RADIAN_PER_DEGREE:.{digits}g}" for axis in values)
             for values, digits in ((self.mean, 3), (self.deviation, 2))
@@ -97,7 +97,7 @@ class RemainingOffset:
         return subtracted, finding(
             "correct.motion_offset_kept",
             "warn",
-            f"The motion does not determine the gyroscope offset about {axes}. It was not subtracted there and is known to +- "
+            f"The motion does not determine the gyroscope offset about {axes}. It was not subtracted there, and is known to +- "
             f"{size:.2g} deg/s.",
             "Begin the recording with 6 s at rest.",
             axes=axes,
@@ -115,9 +115,8 @@ def moved_by(model: TriadModel | None) -> float:
 def mean_variance(x: FloatArray) -> float:
     """Estimate the variance of the mean of correlated samples.
 
-    The autocovariances c_k are summed up to the first negative pair c_(2k) + c_(2k+1), which for a reversible process is
-    noise: var = (c_0 + 2 sum c_k) / n (C. J. Geyer, "Practical Markov chain Monte Carlo", Statistical Science 7, 1992, section
-    3.3).
+    The autocovariances c_k are summed up to the first negative pair c_(2k) + c_(2k+1), which for a reversible process is noise: var
+    = (c_0 + 2 sum c_k) / n (C. J. Geyer, "Practical Markov chain Monte Carlo", Statistical Science 7, 1992, section 3.3).
     """
     n = len(x)
     spectrum = np.fft.rfft(x - x.mean(), 2 * n)
@@ -137,7 +136,7 @@ def rest_offset(
     if len(rates) < FEWEST or np.isnan(rates).any():
         got = f"{len(rates)} samples" if len(rates) < FEWEST else f"{int(np.isnan(rates).any(axis=1).sum())} gaps (NaN)"
         raise InputError(
-            f"rest: expected {FEWEST} samples at rest or more, without gaps, got {got}. Name another stretch, or use offset none."
+            f"rest: expected {FEWEST} samples at rest or more, without gaps, got {got}. Give another stretch, or use offset none."
         )
     start_s, stop_s = float(record.time[still.start]), float(record.time[still.stop - 1])
     return RemainingOffset(
@@ -151,7 +150,7 @@ def rest_offset(
 
 
 def find_rest_offset(record: Record, model: TriadModel | None = None) -> RemainingOffset:
-    """Return the mean rate of a corrected record at its first rest, which the first half hour of the record contains."""
+    """Return the mean rate of a corrected record at its first rest, which must be in the first half hour of the record."""
     if record.gyro is None:
         raise InputError("rest: gyroscope readings and their calibration are needed. Omit `offset` rest.")
     stills = _first_rests(record, "correct")
@@ -179,7 +178,7 @@ def find_offset(
 
 
 def rests_from_first(record: Record, what: str) -> tuple[Still, ...]:
-    """Return the first still phase of a record, the rest of every offset "rest", and those that follow it."""
+    """Return the first still phase of a record, at which every offset "rest" is computed, and the later still phases."""
     stills = _first_rests(record, what)
     later_stills = stills if record.duration_s < FOUND_IN_S else find_still(record).stills
     return stills[0], *(still for still in later_stills if still.start >= stills[0].stop)
@@ -200,24 +199,23 @@ def _first_rests(record: Record, what: str) -> tuple[Still, ...]:
 
 
 # ---- covariance (3, 3) of the mean specific force at a rest, (m/s2)^2, by source
-#
-# ``scatter``      of the mean, with the correlation between samples
-# ``sway``         of a person in quiet stance: the tilt at the end of the rest differs from the mean by the spread of means over
+# ``scatter``      scatter of the mean, with the correlation between samples
+# ``sway``         sway of a standing person: the tilt at the end of the rest differs from the mean by the spread of means over
 #                  a second beyond white noise. In simulated stance, 3 to 10 s, 97 % of errors are within the 95 % limit
 # ``calibration``  E f + d (``record.ForceUncertainty``): f = M (s - o), so that E = dM M^-1 and d = -M do
-# ``temperature``  of offsets and scale factors, for the distance to their reference temperatures
-# ``ageing``       of the offsets since the calibration, and their repeatability from one switch-on to the next
+# ``temperature``  change of offsets and scale factors, for the distance to their reference temperatures
+# ``ageing``       change of the offsets since the calibration, and their repeatability from one switch-on to the next
 # ``codes``        half a step, uniform, if the readings at rest scatter by less, because their mean then has the same error
 
-# m/s2 after a year: bias repeatability for a year, MTi 10- and 100-series (Xsens MT0605P) [figure not compared]. That other devices
-# age in the same way, with the square root of the time, is [assumed]
+# m/s2 after a year: bias repeatability for a year, MTi 10- and 100-series (Xsens MT0605P) [figure not compared]. Other devices
+# are assumed to age in the same way, with the square root of the time
 AGEING = 0.03
 TURN_ON = 5e-4 * STANDARD_GRAVITY  # m/s2, from one switch-on to the next [assumed]
 UNKNOWN_K = 5.0  # K, distance for an unknown temperature, within which constant offsets are assumed to apply [assumed]
-CLOCK_S = (1e9, 4e9)  # range of seconds since 1970 (a recording with a time outside has no date)
+CLOCK_S = (1e9, 4e9)  # range of seconds since 1970 (a recording with a time outside this range has no date)
 UNKNOWN_YEARS = 1.0  # time from calibration to recording, if either has no date [assumed]
 _SWAY_S = 1.0  # width of means that are insensitive to accelerations of a body
-_ABOVE = 3.0  # relative to the variance of means of white noise, which one rest in a hundred reaches
+_ABOVE = 3.0  # limit relative to the variance of means of white noise, which one rest in a hundred reaches
 
 
 def force_covariances(record: Record, still: Still, force: FloatArray) -> dict[str, FloatArray]:
@@ -235,7 +233,7 @@ def force_covariances(record: Record, still: Still, force: FloatArray) -> dict[s
     temp_c = np.nan if record.temp_c is None else float(np.mean(record.temp_c[still.start : still.stop]))
     years = _years_between(error.calibrated, float(record.time[still.start]))
     noise = force.var(axis=0) / np.maximum(error.step, 1e-12) ** 2
-    steady = np.exp(-2.0 * np.pi**2 * np.maximum(noise - 0.25, 0.0))  # share of rounding that dither leaves
+    steady = np.exp(-2.0 * np.pi**2 * np.maximum(noise - 0.25, 0.0))  # remaining share with dither
     covariances |= calibrated_force_covariances(error, mean, temp_c, years)
     return covariances | {"codes": np.diag((error.step * steady) ** 2 / 12.0)}
 

@@ -9,7 +9,7 @@
     verdict       quality of the tables, and whether sessions and calibration belong to the same device
 
 Input: ``Session`` values of kind thermal, with readings (N, 3) in the device's unit and frame b, and temperatures (N,) in degC.
-Offsets and their uncertainties keep the device's unit. Rates are rad/s, rows of means (n, 3).
+Offsets and their uncertainties keep the device's unit. Rates are in rad/s, with one row (n, 3) per mean.
 Output: ``DriftFit``, a Calibration with ``DriftTables``, the data of the fit, and a Verdict. Tables are absolute and linear between
 nodes. correction/correct.py applies them. Open fit first, then offset.
 """

@@ -4,8 +4,8 @@ The constant calibration turns a reading u into v = M0 (u - o0). At temperature 
 
     |P (v_k - d)| = g        M(T) = P(T) M0        offset(T) = o0 + M0^-1 d(T)
 
-P is diagonal: the sensitivity of each axis changes, and cross-axis terms stay the calibration's, as do the axes of the case. Each
-temperature has a separate fit (calibration/norm.py) to six poses or more, and a smooth curve (fit/curve.py) joins them.
+P is diagonal: the sensitivity of each axis changes, and cross-axis terms and the axes of the case remain those of the calibration.
+Each temperature has a separate fit (calibration/norm.py) to six poses or more, and a smooth curve (fit/curve.py) joins them.
 """
 
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ from undrift.units import si_factor
 
 _SCALES, _OFFSETS = np.array([0, 3, 5]), np.array([6, 7, 8])  # diagonal of P, and d, among the parameters of a norm fit
 _POSES = 6  # fewest poses at a temperature
-_SQUARE = 1e-6  # prior deviation of cross-axis terms, which are not fitted
+_SQUARE = 1e-6  # prior standard deviation of cross-axis terms, which are not fitted
 _SAME_TEMPERATURE_C = 1.5
 _COVERED = 0.8  # share of the span of all poses that the fitted temperatures must cover [assumed]
 
@@ -38,7 +38,7 @@ class AccelDriftFit:
     offset_uncertainty: FloatArray  # (n, 3), raw unit
     matrix: FloatArray  # (n, 3, 3), the model's unit_out per raw unit
     matrix_uncertainty: FloatArray  # (n, 3, 3)
-    extrapolated: BoolArray  # (n,), True if no poses were near
+    extrapolated: BoolArray  # (n,), True if there were no poses near the node
 
 
 def fit_accel_drift(rests: RestBlocks, model: TriadModel, *, gravity: float, temp_c: FloatArray) -> AccelDriftFit:

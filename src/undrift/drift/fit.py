@@ -1,6 +1,6 @@
 """Fit tuning tables to thermal sessions and a calibration (Figure 2 of the note).
 
-    temperature     checked and smoothed, without the lag that the session states or ramps show
+    temperature     checked and smoothed, without the lag that the session gives or ramps determine
     static drift    absolute offset(T) from rests, raw unit                        blocks 2 to 5
     matrix          M(T) from rate steps at two soaks or more
     dynamic drift   e(w, T) that remains, from rate steps at three soaks or more   blocks 6 to 9
@@ -48,14 +48,14 @@ from undrift.shown import Shown
 if TYPE_CHECKING:
     import pandas as pd
 
-RANGE_C = (18.0, 75.0)  # the note's
+RANGE_C = (18.0, 75.0)  # spacing of the note
 STEP_C = 0.5
 SURE_LAG = 3.0  # standard uncertainties: a smaller lag is not subtracted
-OUTLYING = 5.0 * 1.4826  # median absolute deviations of single readings that a table reaches beyond their smooth course
-INPUTS_BEFORE = "drift_inputs_before"  # setting: number of inputs of the calibration before a thermal fit
+OUTLYING = 5.0 * 1.4826  # margin of a table beyond the smooth course, in median absolute deviations of single readings
+INPUTS_BEFORE = "drift_inputs_before"  # key of a setting: number of inputs of the calibration before a thermal fit
 
 Tables = Literal["none", "scale", "dynamic", "scale + dynamic"]  # in addition to the offsets
-Progress = Callable[[str, float], None]  # next stage, and the share of the work that is done
+Progress = Callable[[str, float], None]  # next stage, and completed share of the work
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,7 +65,7 @@ class DriftSettings:
     Parameters
     ----------
     step_c : float
-        Distance between nodes, K. They span the data, and reach 18 and 75 degC if an end is within 3 degC of these.
+        Distance between nodes, K. The nodes span the data. They extend to 18 or 75 degC if the data end within 3 degC of it.
     tables : str
         Tables in addition to the offsets: "none", "scale", "dynamic" or "scale + dynamic".
     static : StaticSettings
@@ -91,13 +91,13 @@ class DriftFit(Shown):
     static : StaticFit
         Offsets over temperature.
     scale : ScaleFit or None
-        Matrix over temperature, even if no table of it is wanted, or None without rate steps at two soaks.
+        Matrix over temperature, even if its table is not requested, or None without rate steps at two soaks.
     dynamic : DynamicFit or None
-        Dynamic drift, or None if it is not wanted or not observable.
+        Dynamic drift, or None if it is not requested or not observable.
     accel : AccelDriftFit or None
         Accelerometers from poses, or None without poses at two temperatures.
     lag : LagFit or None
-        Lag of the thermometer by ramps at two speeds, or None if the session states it.
+        Lag of the thermometer from ramps at two speeds, or None if the session gives it.
     rests : RestBlocks
         Data of the static tables.
     steps : RateSteps
@@ -125,14 +125,14 @@ def fit_drift(
     settings: DriftSettings = DriftSettings(),
     progress: Progress | None = None,
 ) -> DriftFit:
-    """Fit the tuning tables of a device.
+    """Fit the tuning tables of a device to thermal sessions.
 
     Parameters
     ----------
     sessions : sequence of Session, or DataFrame
-        One or more sessions of the device. The scatter of several sessions counts as uncertainty. Or a frame of means over
-        set-points, one per row: temp_c, and readings with undrift's column names (gyro_x_dps). Rows that are not at rest have
-        the imposed rate in turn_rate_x_dps, turn_rate_y_dps and turn_rate_z_dps.
+        One or more sessions of the device. The scatter of several sessions counts as uncertainty. Alternatively, a data frame of
+        means over set-points, one per row: temp_c, and readings with undrift's column names (gyro_x_dps). Rows that are not at rest
+        have the imposed rate in turn_rate_x_dps, turn_rate_y_dps and turn_rate_z_dps.
     calibration : Calibration, optional
         Calibration of the same device. Without it, readings in a physical unit keep their nominal scale, and counts are refused.
     settings : DriftSettings
@@ -148,12 +148,12 @@ def fit_drift(
     Raises
     ------
     InputError
-        No session, another device than the calibration's, repeated data, a missing or implausible temperature, or units that
-        do not agree.
+        There is no session, the device is not that of the calibration, data are repeated, a temperature is missing or implausible,
+        or units do not agree.
     NotObservable
-        A temperature that is constant or spans too little, no rests, or counts without a calibration.
+        The temperature is constant or its range is too small, there are no rests, or counts have no calibration.
     Implausible
-        Turns about other axes than the calibration's or in the opposite sense, or sessions that differ too much for one device.
+        Turns are about other axes than in the calibration or in the opposite sense, or sessions differ too much for one device.
 
     Examples
     --------
@@ -250,7 +250,7 @@ def fit_drift(
 def _check_sessions(sessions: Sequence[Session], calibration: Calibration | None) -> list[Session]:
     """Return the sessions. Raise if they belong to different devices."""
     if not sessions:
-        raise InputError("drift: no session was given. Name its folder.")
+        raise InputError("drift: no session was given. Give its folder.")
     names = {session.serial or session.records[0].device for session in sessions}
     names = (names | {"" if calibration is None else calibration.device}) - {""}
     if len(names) > 1:
@@ -275,7 +275,7 @@ def table_nodes(seen_c: FloatArray, step_c: float) -> FloatArray:
 def _fit_rates(
     steps: RateSteps, device: Calibration, static: StaticFit, tables: Tables
 ) -> tuple[ScaleFit | None, DynamicFit | None, list[Finding]]:
-    """Return matrix and dynamic drift with their findings. The matrix is always fitted, because it shows the axes of the turns."""
+    """Return matrix and dynamic drift with their findings. The matrix is always fitted, because it reveals the turn axes."""
     scale, dynamic, findings, temp_c = None, None, list[Finding](), static.table.temp_c
     try:
         if device.gyro is None or static.gyro is None:
@@ -299,7 +299,7 @@ def _fit_rates(
 def _accelerometers(
     rests: RestBlocks, device: Calibration, nodes: FloatArray
 ) -> tuple[AccelDriftFit | None, tuple[Finding, ...]]:
-    """Return the accelerometers' fit to poses, or None with the reason if the poses do not determine it."""
+    """Return the fit of the accelerometers to poses, or None and the reason if the poses do not determine it."""
     if device.accel is None or len(np.unique(rests.pose)) < 2 or np.isnan(rests.accel).all():
         return None, ()
     try:
@@ -311,7 +311,7 @@ def _accelerometers(
 def _tables(
     offsets: StaticDrift, scale: ScaleDrift | None, dynamic: DynamicDrift | None, accel: AccelDriftFit | None
 ) -> DriftTables:
-    """Return the tables with those of the accelerometers from poses."""
+    """Return the tables, including those of the accelerometers from poses."""
     if accel is not None:
         offsets = replace(
             offsets,

@@ -1,7 +1,7 @@
 """Observations of thermal sessions: blocks of rest and dwells at a steady rate, one row each, with their temperatures.
 
-Blocks of rest are means over about ten seconds. A mean does not use samples that differ from the median of their block by more than
-six robust standard deviations. Its variance comes from the differences of neighbouring half-second means, pooled over the rest::
+Blocks of rest are means over about ten seconds. A mean excludes samples more than six robust standard deviations from the median of
+their block. Its variance comes from the differences of neighbouring half-second means, pooled over the rest::
 
     var of a block's mean = mean((m_(k+1) - m_k)^2) / 2 / number of half seconds
 
@@ -35,10 +35,10 @@ if TYPE_CHECKING:
 
 Temperatures = Sequence[Sequence[FloatArray]]  # per session, per recording: (N,), degC, lag subtracted
 
-BLOCK_S = 10.0  # length of a block of rest: shorter follows a fast ramp, longer averages more noise
+BLOCK_S = 10.0  # length of a block of rest: shorter blocks follow fast ramps better, longer blocks average more noise
 RAMP_S = 60.0  # stretch over which the slope of the temperature is computed
-SETTLE_S = 0.3  # start of each dwell that is discarded
-SOAK_C = 1.5  # a dwell further than this from the first one of its soak begins another soak
+SETTLE_S = 0.3  # part at the start of each dwell that is discarded
+SOAK_C = 1.5  # a dwell that differs by more than this from the first dwell of its soak begins another soak
 # largest angle between mean specific forces in a mounting (drift tilts them by 1-2 deg)
 SAME_POSE = 3.0 * RADIAN_PER_DEGREE
 OUTLIER = 6.0 * 1.4826  # median absolute deviations of a block: six standard deviations of normal noise
@@ -54,16 +54,16 @@ NO_REST = (
 class StretchMeans:
     """Means over stretches of thermal sessions, n rows."""
 
-    session: IntArray  # (n,), which session, from 0
+    session: IntArray  # (n,), index of the session, from 0
     temp_c: FloatArray  # (n,), mean temperature, degC, lag subtracted
     gyro: FloatArray  # (n, 3), mean reading, raw unit, or NaN if the session has no such sensors
-    gyro_variance: FloatArray  # (n, 3), of the mean from the scatter inside, raw unit squared, or NaN if unknown
+    gyro_variance: FloatArray  # (n, 3), variance of the mean, from the scatter within, or NaN if unknown
 
     def __len__(self) -> int:
         return len(self.temp_c)
 
     def taken(self, which: Any) -> Self:
-        """Return some of the rows, numbers unchanged."""
+        """Return selected rows. Their indices of sessions do not change."""
         columns: Any = ((name, getattr(self, name)) for name in self.__dataclass_fields__)
         return replace(self, **{name: values[which] for name, values in columns if isinstance(values, np.ndarray)})
 
@@ -83,9 +83,9 @@ class RestBlocks(StretchMeans):
     accel: FloatArray  # (n, 3), mean reading, raw unit, or NaN if the session has no such sensors
     pose: IntArray  # (n,), number of the orientation (sessions have different numbers)
     power_on_s: FloatArray  # (n,), time since the first recording of the same power-on began, s
-    ramp_c_per_min: FloatArray  # (n,), slope of the temperature, degC/min: above 0 while warming
+    ramp_c_per_min: FloatArray  # (n,), slope of the temperature, degC/min (positive while warming)
     accel_variance: FloatArray  # (n, 3), likewise
-    # (n, 3), standard deviation of the mean from the converter's steps, raw unit (constant while the input is constant)
+    # (n, 3), standard deviation of the mean due to the converter's steps, raw unit (constant while the input is constant)
     gyro_step_error: FloatArray
     accel_step_error: FloatArray  # (n, 3), likewise
 
@@ -127,7 +127,7 @@ def observe_steps(sessions: Sequence[Session], *, temperatures: Temperatures) ->
 
 
 def find_rests(session: Session) -> tuple[Still, ...]:
-    """Return the given rests of a session, otherwise the detected rests, in order of time."""
+    """Return the given rests of a session, or the detected rests if none are given, in order of time."""
     if session.stills:
         return tuple(sorted(session.stills, key=lambda s: (s.recording, s.start)))
     rests = list[Still]()
@@ -172,7 +172,7 @@ def session_rests(session: Session, temps: Sequence[FloatArray]) -> list[RestBlo
 
 
 def _poses(session: Session, stills: tuple[Still, ...]) -> IntArray:
-    """Return the pose of each still, from 0: its face, otherwise the pose of the previous still if their directions agree."""
+    """Return the pose of each still, from 0: its face, or without a face the previous pose if their directions agree."""
     poses, faces, forces = list[int](), dict[str, int](), list[FloatArray | None]()
     for k, still in enumerate(stills):
         accel, following = session.records[still.recording].accel, max(poses, default=-1) + 1
@@ -240,7 +240,7 @@ def _mean_temperature(temp_c: FloatArray) -> float:
 
 
 def _slope(time: FloatArray, temp_c: FloatArray, middle: float) -> float:
-    """Return the slope of the temperature about a moment, degC/min."""
+    """Return the slope of the temperature around a given time, degC/min."""
     window = slice(*np.searchsorted(time, (middle - 0.5 * RAMP_S, middle + 0.5 * RAMP_S)))
     finite = np.isfinite(temp_c[window])
     if finite.sum() < 2:
@@ -302,7 +302,7 @@ def _soaks(temp_c: FloatArray) -> IntArray:
     return numbers
 
 
-# ---- means over set-points, a row each
+# ---- means over set-points, one row each
 
 
 def means_session(frame: "pd.DataFrame") -> tuple[Session, FloatArray]:
@@ -347,11 +347,11 @@ def observe_means(record: Record, rate_b: FloatArray, temp_c: FloatArray) -> tup
     return rests.taken(rows & ~turning), RateSteps(**means, soak=soak, rate_b=rate_b).taken(rows & turning)
 
 
-# ---- sessions made ready
+# ---- preparation of sessions
 
 
 def in_units_of(session: Session, calibration: Calibration) -> Session:
-    """Return a session in the units that a calibration reads, with the half steps of truncated codes put back."""
+    """Return a session in the units of a calibration's input, with the half steps of truncated codes restored."""
     records = tuple(_prepare_record(record, k, calibration) for k, record in enumerate(session.records))
     return replace(session, records=records)
 
@@ -359,7 +359,7 @@ def in_units_of(session: Session, calibration: Calibration) -> Session:
 def _prepare_record(record: Record, number: int, calibration: Calibration) -> Record:
     if record.state == "corrected":
         raise InputError(
-            f"recording {number} is corrected already. Give the raw readings: tables are subtracted from those."
+            f"recording {number} is already corrected. Give the raw readings: tables are subtracted from raw readings."
         )
     units = list[str]()
     for triad, values, unit in zip(
@@ -383,7 +383,7 @@ def nominal_models(sessions: Sequence[Session]) -> Calibration:
     unit = next((r.gyro_unit for s in sessions for r in s.records if r.gyro is not None), None)
     if unit is None:
         raise NotObservable(
-            "drift: without a calibration, accelerometers at rest show only how the offset changes. Calibrate six faces, and give "
+            "drift: without a calibration, rests determine only changes of the accelerometer offset. Calibrate six faces, and give "
             "the calibration."
         )
     if not is_physical(unit):

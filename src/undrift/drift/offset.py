@@ -5,7 +5,7 @@
     both             y = f(T) + f'(T) dT/dt l + h c + A exp(-t / tau) + d_s + w + v + e
 
 f      smooth curve (fit/curve.py) through the means of the cells. A cell contains the blocks of one rest within a narrow range of
-       temperature, so the hot end of a warm-up has the weight of its temperature range only
+       temperature, so that the hot end of a warm-up is weighted by its temperature range only
 l      remaining lag of the thermometer, a common unknown of known size: soaks often end before it has settled, with the same sign
 w      flicker noise of known size (fit/priors.py): the rests of a session share most of it, so residuals do not reveal it
 v      deviation of a rest, with a common variance about the curve: half of it is independent (pose, mounting, a device that
@@ -34,27 +34,27 @@ from undrift.fit.gls import determined, excess_variance, student_factor
 from undrift.fit.priors import ACCEL_FLICKER, GYRO_FLICKER, THERMOMETER_LAG
 from undrift.model import G_NAMES, Calibration, StaticDrift, TriadModel, WarmUp
 
-UNKNOWN_SCALE_PER_K = 2e-4  # accelerometers in a single pose: a capacitive sensor shifts by +-1 % in 50 K
-EDGE_C = 0.5  # a node this far outside the observed temperatures is extrapolated
-GAP_C = 5.0  # and so is a node between observed temperatures, this far from both
+UNKNOWN_SCALE_PER_K = 2e-4  # accelerometers in a single pose: the scale of a capacitive sensor changes by +-1 % in 50 K
+EDGE_C = 0.5  # distance outside the observed temperatures from which a node is extrapolated
+GAP_C = 5.0  # distance from both neighbouring observed temperatures from which a node between them is extrapolated
 SLOPE_POINTS = 60
 # ---- cells
 CELL_C, MOST_CELLS = 0.5, 100  # narrowest cell, and number of cells above which they are widened
-APART_C, APART_S = 2.0, 60.0  # between blocks: a larger step or a longer pause begins another rest
+APART_C, APART_S = 2.0, 60.0  # a larger step or a longer pause between blocks begins another rest
 SLOW, STILL = 0.25, 0.05  # shares of a log's fast ramps [assumed]
-LEAST_SOAKS = 5  # temperatures from which a log is one of soaks [assumed]
+LEAST_SOAKS = 5  # number of temperatures from which a log consists of soaks [assumed]
 OWN = 0.5  # share of the variance of v that a rest does not share with the next rest [assumed]
-FLICKER_S = 10.0 ** np.arange(1.0, 4.1, 0.5)  # time constants of the processes that flicker noise is made of
-FLICKER_OF_FLOOR = 2.41  # standard deviation of all of them over the bias instability: sqrt(7 ln(sqrt 10) / pi) / 0.664
-PAIRED = 30  # number of blocks of a cell used for its correlation
-SHARED_C = 1.0  # sessions with cells nearer than this share a temperature
+FLICKER_S = 10.0 ** np.arange(1.0, 4.1, 0.5)  # time constants of the processes that add up to flicker noise
+FLICKER_OF_FLOOR = 2.41  # total standard deviation over bias instability: sqrt(7 ln(sqrt 10) / pi) / 0.664
+PAIRED = 30  # number of blocks of a cell from which its correlation is computed
+SHARED_C = 1.0  # largest distance between cells of two sessions at a common temperature
 # ---- hysteresis
-CROSSED_C = 4.0  # after a turn the loop is crossed over this much of temperature
-OVERLAP_C = 3.0  # common range of both directions
+CROSSED_C = 4.0  # change of temperature after a reversal over which the loop is crossed
+OVERLAP_C = 3.0  # smallest common range of both directions
 # ---- warm-up
-CHUNK_S = 120.0  # cells are cut there and at its doubles
+CHUNK_S = 120.0  # time at which cells are cut, and at its multiples by powers of two
 LEAST_OWN = 0.05  # share of the variance of exp(-t / tau) that temperature must leave unexplained
-CURVE_POWER = 7  # degree of the polynomial over temperature that a warm-up must differ from
+CURVE_POWER = 7  # degree of the polynomial over temperature from which a warm-up must differ
 WARM_UP_NODES, WARM_UP_SPAN = 13, 5.0  # nodes of its table, and its length in time constants
 
 
@@ -74,7 +74,7 @@ class Offsets:
 
     blocks: RestBlocks
     value: FloatArray  # (n, 3), raw unit
-    variance: FloatArray  # (n, 3), variance by noise, raw unit squared
+    variance: FloatArray  # (n, 3), variance due to noise, raw unit squared
     step_error: FloatArray  # (n, 3), rounding error of the converter in each block, raw unit
     common_variance: FloatArray  # (3,), variance of the common error, raw unit squared
     flicker: FloatArray  # (3,), known variance of w, raw unit squared
@@ -87,9 +87,9 @@ class Cells:
     session: IntArray  # (n,)
     temp_c: FloatArray  # (n,), degC
     value: FloatArray  # (n, 3), raw unit
-    variance: FloatArray  # (n, 3), by noise and steps, raw unit squared
+    variance: FloatArray  # (n, 3), variance due to noise and steps, raw unit squared
     regressors: FloatArray  # (n, p)
-    correlation: FloatArray  # (n, n), of the deviations v, mean diagonal 1
+    correlation: FloatArray  # (n, n), correlation of the deviations v, mean diagonal 1
     ramp_c_per_s: FloatArray  # (n,), slope of the temperature at the end of soaks, or 0 on a sweep
     flicker: FloatArray  # (3, n, n), covariance of w, raw unit squared
 
@@ -98,8 +98,8 @@ class Cells:
 class TurnOn:
     """Scatter between sessions, raw unit squared."""
 
-    variance: FloatArray  # (3,), between sessions
-    future_variance: FloatArray  # (3,), for a future session
+    variance: FloatArray  # (3,), variance between sessions
+    future_variance: FloatArray  # (3,), variance of a future session
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -109,8 +109,8 @@ class TriadDrift:
     offset: FloatArray  # (n, 3), absolute
     uncertainty: FloatArray  # (n, 3), standard uncertainty of each node, for a future visit
     visit: FloatArray  # (3,), standard deviation of a visit's contribution, included in ``uncertainty``
-    extrapolated: BoolArray  # (n,), True if no data were near
-    slope: FloatArray  # (3,), mean over the temperatures of the blocks, raw unit per K
+    extrapolated: BoolArray  # (n,), True if there were no data near the node
+    slope: FloatArray  # (3,), mean slope over the temperatures of the blocks, raw unit per K
     slope_uncertainty: FloatArray  # (3,)
     span_c: tuple[float, float]  # lowest and highest temperature of the data, degC
     curve: Curve
@@ -128,7 +128,7 @@ class TriadDrift:
 class StaticFit:
     """A static tuning table with its findings."""
 
-    table: StaticDrift  # at the nodes asked for
+    table: StaticDrift  # at the requested nodes
     gyro: TriadDrift | None  # None if a triad was not observed
     accel: TriadDrift | None
     findings: tuple[Finding, ...]
@@ -154,7 +154,7 @@ def fit_static(
             what = "Accelerometer offset over temperature"
             findings.append(not_observable("info", what, str(error)))
     if accel is not None:
-        findings += () if gyro is not None else accel.findings  # otherwise the gyroscopes report the same rests
+        findings += () if gyro is not None else accel.findings  # the gyroscopes report the same rests
         span_c, percent_per_c = accel.span_c[1] - accel.span_c[0], 100.0 * UNKNOWN_SCALE_PER_K
         findings.append(
             finding(
@@ -225,7 +225,7 @@ def accel_offsets(blocks: RestBlocks, model: TriadModel) -> Offsets:
 
 
 def known_variance(variance: FloatArray) -> FloatArray:
-    """Return variances, (n, 3), with the mean variance in place of unknown values."""
+    """Return variances, (n, 3), with unknown values replaced by the mean variance."""
     usual = np.nanmean(variance, axis=0) if np.isfinite(variance).any() else np.zeros(3)
     return np.where(np.isfinite(variance), variance, usual)
 
@@ -245,7 +245,7 @@ def specific_force(blocks: RestBlocks, calibration: Calibration | None) -> Float
 
 
 def felt_by_gyro(blocks: RestBlocks, calibration: Calibration | None) -> FloatArray:
-    """Return the effect of the specific force on the gyroscopes' readings of blocks, (n, 3), raw unit, or 0 if it is unknown."""
+    """Return the effect of the specific force on the gyroscope readings of blocks, (n, 3), raw unit, or 0 if it is unknown."""
     model, force = None if calibration is None else calibration.gyro, specific_force(blocks, calibration)
     if model is None or model.g_sensitivity is None or force is None:
         return np.zeros((len(blocks), 3))
@@ -287,7 +287,7 @@ def _fit_triad(
     turn_on = between_sessions(cells, settings.lag_uncertainty_s)
     if turn_on is None:
         what, action = "Turn-on bias repeatability", "Record two sessions on two days, over the same temperatures."
-        findings.append(not_observable("info", what, "it is not in the uncertainty.", action))
+        findings.append(not_observable("info", what, "it is not included in the uncertainty.", action))
     curve = _fit_curve(cells, turn_on, settings.lag_uncertainty_s)
 
     # the curve at the nodes, at the temperatures of the blocks for its mean slope, and at the reference
@@ -298,7 +298,7 @@ def _fit_triad(
     variances = at.uncertainty**2
     value, variance = at.value[:n], variances[:n]
     gravity = np.zeros(3)
-    if reference is not None:  # the last point: its error is shared by both ends of the difference
+    if reference is not None:  # the last point, the reference, contributes the same error to every difference
         model = reference[1]
         gravity = at.value[-1] - model.offset
         variance = variance + variances[-1] - 2.0 * at.covariance[:, :n, -1].T + np.diag(model.covariance)[9:12]
@@ -373,7 +373,7 @@ def _offset_per_lag(cells: Cells) -> FloatArray:
 
 
 def _fit_set_points(cells: Cells, curve: Curve, nodes: FloatArray) -> NodeValues:
-    """Return the note's curve: not-a-knot through the means of the set-points, effects subtracted."""
+    """Return the note's curve: a not-a-knot spline through the means of the set-points, after effects are subtracted."""
     residual = cells.value - cells.regressors @ curve.coefficient
     variance = cells.variance + np.diag(cells.correlation)[:, None] * curve.visit_deviation**2
     variance = variance + cells.flicker.diagonal(axis1=1, axis2=2).T
@@ -392,7 +392,7 @@ def _fit_set_points(cells: Cells, curve: Curve, nodes: FloatArray) -> NodeValues
 def cells_of(offsets: Offsets, regressors: FloatArray, direction: FloatArray, *, chunk_s: float) -> Cells:
     """Average blocks of the same rest, direction (n,) and temperature, with their regressors (n, p).
 
-    Cells end when the time since power-on passes ``chunk_s``, twice this, four times this, and so on.
+    Cells end when the time since power-on passes ``chunk_s``, twice ``chunk_s``, four times ``chunk_s``, and so on.
     """
     blocks = offsets.blocks
     rest, chunk = rests_of(blocks), np.floor(np.log2(np.maximum(blocks.power_on_s / chunk_s, 0.5)))
@@ -435,7 +435,7 @@ def bins_of(temp_c: FloatArray, width: float) -> IntArray:
 def rests_of(blocks: RestBlocks) -> IntArray:
     """Return the rest of each block, (n,). A new rest begins with a session, a pose, a pause, or a step of temperature.
 
-    A log with soaks has one rest per soak, and -1 on the ramps, because a ramp would carry a deviation to the next soak.
+    In a log with soaks, each soak is one rest. Blocks on ramps get -1, because a ramp would transfer a deviation to the next soak.
     """
     ramp = np.abs(blocks.ramp_c_per_min)
     fast = float(np.quantile(ramp, 0.9))
@@ -455,7 +455,7 @@ def rests_of(blocks: RestBlocks) -> IntArray:
 def at_soaks(blocks: RestBlocks, used: IntArray) -> BoolArray:
     """Return True for the blocks of sessions with separate temperatures, each no wider than a rest, (n,).
 
-    On a sweep the thermometer lags in use as it did in the log, and a table that contains the lag is right.
+    On a sweep, the thermometer lags in use as it did in the log, so a table that contains the lag is correct.
     """
     soaked = np.zeros(len(blocks), bool)
     for rows in split_by(used, blocks.session[used]):
@@ -492,7 +492,8 @@ def flicker_correlation(blocks: RestBlocks, members: list[IntArray]) -> FloatArr
 
 
 def between_sessions(cells: Cells, lag_s: float) -> TurnOn | None:
-    """Return the change of the offset between sessions with common temperatures, or None if no two sessions share any.
+    """Return the change of the offset between sessions with common temperatures, or None if no two sessions have common
+    temperatures.
 
     The shifts of the sessions sum to zero. Their excess variance (Paule and Mandel) counts, with the variance of the shifts as its
     lower limit, because sessions that agree by chance do not prove that the offset is constant.
@@ -519,7 +520,7 @@ def between_sessions(cells: Cells, lag_s: float) -> TurnOn | None:
     return TurnOn(variance=variance, future_variance=student_factor(free) * variance)
 
 
-# ---- hysteresis: which way the temperature went
+# ---- hysteresis: direction of the temperature change
 
 
 def cooling(blocks: RestBlocks) -> FloatArray:
@@ -562,15 +563,15 @@ def warm_up_time(blocks: RestBlocks, value: FloatArray) -> float:
     best = int((explained / np.maximum(residual.var(axis=0), 1e-300)).sum(axis=1).argmax())
     if share[best] < LEAST_OWN:
         raise NotObservable(
-            f"warm-up: {100.0 * (1.0 - share[best]):.1f} % of the transient since power-on is explained by temperature. Hold one "
-            "temperature for half an hour after power-on, or warm up from two temperatures.",
+            f"warm-up: {100.0 * (1.0 - share[best]):.1f} % of the transient since power-on is explained by temperature. Keep the "
+            f"temperature constant for half an hour after power-on, or warm up from two temperatures.",
             share=float(share[best]),
         )
     return float(constants[best])
 
 
 def warm_up_table(time_constant_s: float, amplitude: FloatArray) -> WarmUp:
-    """Return the warm-up as a table that ends at zero."""
+    """Return the warm-up as a table whose last value is zero."""
     time = time_constant_s * WARM_UP_SPAN * np.linspace(0.0, 1.0, WARM_UP_NODES) ** 1.5
     decay = np.exp(-time / time_constant_s)
     decay[-1] = 0.0

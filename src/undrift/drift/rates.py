@@ -5,15 +5,15 @@ its case. In a soak each sensor i reads ::
 
     u_i - offset_i(T) = sum_j K_ij w_j + d_im + noise        axes j, mounting m
 
-Turns are about the axes of the case, and each determines the column of K of its axis. d is the offset error of the table
-(hysteresis, warm-up, g-sensitivity). Each mounting determines it, because it has two rates or more: a single rate is left out. An
-axis that no soak turned keeps its column of K from the calibration, without an uncertainty. Each K_ij(T) gets a smooth curve
-(fit/curve.py), and ``M(T) = K(T)^-1`` with dM = -M dK M. K is the best straight line over the imposed rates. The dynamic table
-contains the curvature.
+Turns are about the axes of the case. Each turn determines the column of K for its axis. d is the offset error of the table
+(hysteresis, warm-up, g-sensitivity). Each mounting determines its d, because it has two rates or more. A mounting with a single
+rate is omitted. If no soak contains turns about an axis, the axis keeps its column of K from the calibration, without an
+uncertainty. Each K_ij(T) gets a smooth curve (fit/curve.py), and ``M(T) = K(T)^-1`` with dM = -M dK M. K is the best straight line
+over the imposed rates. The dynamic table contains the curvature.
 
 Dynamic drift is the rate error that remains, per axis, as a table over measured rate and temperature: ``e(w, T) = w - true rate``
 with the measured rate w about the axis itself, so that the lookup needs no inversion. At each soak it is a polynomial without a
-constant, because d has that part::
+constant, because d contains the constant part::
 
     w_k - true rate_k = d + sum_n c_n w_k^n + noise        n = 1 .. 5, at most half the number of rates
 
@@ -36,20 +36,20 @@ from undrift.model import AXES, DynamicDrift, ScaleDrift, StaticDrift, TriadMode
 from undrift.units import si_factor
 
 STEP_C = 5.0  # between the nodes of the dynamic table
-# a node between soaks and further from both is extrapolated: matrices change more evenly than offsets
+# distance from both neighbouring soaks from which a node is extrapolated: matrices change more evenly than offsets
 MATRIX_GAP_C = 10.0
-MAINLY = 0.9  # least share of a turning rate that is about an axis of the case
-SAME_RATE = 0.01  # relative to the largest rate: closer rates are equal
-NEAR_RATE = 0.02  # relative to the largest rate: a node this far beyond the measured rates is not extrapolated
+MAINLY = 0.9  # smallest share of a turn rate that is about an axis of the case
+SAME_RATE = 0.01  # relative to the largest rate: rates closer than this are equal
+NEAR_RATE = 0.02  # relative to the largest rate: a node up to this far beyond the measured rates is not extrapolated
 HIGHEST_POWER = 5  # highest power of the rate
-LEAST_DIGIT = 1e-9  # relative to the readings, the arithmetic error of a mean
+LEAST_DIGIT = 1e-9  # arithmetic error of a mean, relative to the readings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Steps(RateSteps):
     """Usable rate steps, n rows. The offset is subtracted from the readings, and soaks are numbered over all sessions."""
 
-    mounting: IntArray  # (n,), numbered over all soaks
+    mounting: IntArray  # (n,), number of the mounting, over all soaks
     axis: IntArray  # (n,), main axis about which the mounting turned
     findings: tuple[Finding, ...] = ()
 
@@ -60,7 +60,7 @@ class SoakMatrices:
 
     temp_c: FloatArray  # (S,), mean temperature of the soak's steps, degC, increasing
     forward: FloatArray  # (S, 3, 3), K, raw unit per rad/s: sensor, axis, or NaN for an axis that the soak did not turn
-    variance: FloatArray  # (S, 3, 3), of each element, that unit squared
+    variance: FloatArray  # (S, 3, 3), variance of each element, that unit squared
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -70,7 +70,7 @@ class ScaleFit:
     drift: ScaleDrift  # gyroscope matrices at the nodes
     soaks: SoakMatrices
     forward: FloatArray  # (n, 3, 3), K at the nodes, raw unit per rad/s
-    uncertainty: FloatArray  # (n, 3, 3), of each element, or NaN for an axis that was not turned
+    uncertainty: FloatArray  # (n, 3, 3), uncertainty of each element, or NaN for an axis that was not turned
     findings: tuple[Finding, ...]
 
 
@@ -82,16 +82,16 @@ class DynamicFit:
     findings: tuple[Finding, ...]
 
 
-# ---- rate steps made ready
+# ---- preparation of rate steps
 
 
 def prepared(steps: RateSteps, model: TriadModel, *, static: StaticDrift | None) -> Steps:
-    """Return the usable rows of rate steps without their offsets: those of mountings that turned at two rates or more."""
+    """Return the usable rate steps without their offsets: the rows of mountings that turned at two rates or more."""
     finite = np.isfinite(steps.gyro).all(axis=1) & np.isfinite(steps.rate_b).all(axis=1) & np.isfinite(steps.temp_c)
     usable = steps.taken(finite & steps.rate_b.any(axis=1))
     if not len(usable):
         raise InputError(
-            f"rate steps: none of {len(steps)} dwells has rate, reading and temperature. Check turn_rate_dps, temp_c and gaps."
+            f"rate steps: none of the {len(steps)} dwells has rate, reading and temperature. Check turn_rate_dps, temp_c and gaps."
         )
     soak, axis = _number_groups(usable.session, usable.soak), np.abs(usable.rate_b).argmax(axis=1)
     mounting, turn_rate = _number_groups(soak, axis), usable.rate_b[np.arange(len(axis)), axis]
@@ -107,8 +107,8 @@ def prepared(steps: RateSteps, model: TriadModel, *, static: StaticDrift | None)
         offset = interpolated(usable.temp_c, static.temp_c, static.gyro_offset)
     lost = int((~finite).sum() + (~rows).sum())
     left_out = (
-        f"{lost} of {len(steps)} rate steps were left out: they have gaps, a single rate in a soak, or an axis between the axes of "
-        "the case."
+        f"{lost} of {len(steps)} rate steps were omitted: they have gaps, a single rate in a soak, or a turn axis that is not an "
+        f"axis of the case."
     )
     return Steps(
         session=usable.session,
@@ -182,11 +182,11 @@ def fit_scale(steps: Steps, model: TriadModel, *, temp_c: FloatArray) -> ScaleFi
 
 def _axis_not_turned(what: str) -> Finding:
     problem = "the device was not turned about this axis at two rates and two temperatures."
-    return not_observable("warn", what, problem, "Turn about it both ways at three soaks or more.")
+    return not_observable("warn", what, problem, "Turn the device about it in both directions at three soaks or more.")
 
 
 def soak_matrices(steps: Steps, model: TriadModel) -> SoakMatrices:
-    """Fit the forward matrix at each soak: column j to the turns about axis j, each mounting with its own offset."""
+    """Fit the forward matrix at each soak: column j to the turns about axis j, with a separate offset for each mounting."""
     numbers = np.unique(steps.soak)
     temp_c = np.array([steps.temp_c[steps.soak == s].mean() for s in numbers])
     constant, forward, variance = _forward(model), *np.full((2, len(numbers), 3, 3), np.nan)
@@ -208,7 +208,7 @@ def _forward(model: TriadModel) -> FloatArray:
 
 
 def _weigh(design: FloatArray, y: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return least-squares parameters and their covariance for values y (n,) of variance v (n,), and of their excess."""
+    """Return least-squares parameters and their covariance, for values y (n,) with the variance v (n,) and an excess variance."""
     residual = y - design @ np.linalg.lstsq(design, y, rcond=None)[0]
     v = v + excess_variance(residual, v, len(y) - design.shape[1])
     covariance = np.linalg.inv(design.T @ (design / v[:, None]))
@@ -306,7 +306,7 @@ def _rate_nodes(imposed: FloatArray, measured: FloatArray) -> FloatArray:
 def _unseen(
     rate: FloatArray, rate_temp_c: FloatArray, soak: IntArray, turn_rate: FloatArray, temp_c: FloatArray
 ) -> BoolArray:
-    """Mark nodes beyond the temperatures, or beyond the rates that were measured around their temperature."""
+    """Mark nodes beyond the measured temperatures, or beyond the rates measured near their temperature."""
     soaks = [soak == number for number in np.unique(soak)]
     soaks.sort(key=lambda rows: float(rate_temp_c[rows].mean()))
     soak_c = np.array([rate_temp_c[rows].mean() for rows in soaks])

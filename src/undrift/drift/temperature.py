@@ -1,7 +1,7 @@
 """Temperature of the sensors in a recording: checks, smoothing over time, and subtraction of the thermometer's lag.
 
-A board thermometer may be noisy, in steps of up to 1 degC, with gaps, frozen or on the wrong scale. A temperature that a fit cannot
-use raises an error, a doubtful temperature is a finding, and all others are smoothed.
+The readings of a board thermometer may be noisy, change in steps of up to 1 degC, have gaps, be frozen or have the wrong scale. A
+temperature that a fit cannot use raises an error, a doubtful temperature causes a finding, and all others are smoothed.
 
 Steps that are blurred by noise are smoothed with a moving mean, long enough to reduce the noise to 0.02 K, and 30 s at most. Steps
 without noise are informative only when they change. At a change the temperature is midway between two steps, and it is interpolated
@@ -12,7 +12,7 @@ A thermometer lags behind the sensors, T_m' = (T - T_m) / tau. The lag is subtra
     in use      y = (tau s + 1) / (tau_f s + 1) T_m     causal, for uneven time steps, with the remaining lag tau_f
     for a fit   T = T_m + tau T_m'                      from a smoothed temperature, without a remaining lag
 
-The lead makes the noise of a single reading tau / tau_f times as large. It does not change the slow part of the noise, and only
+The lead amplifies the noise of a single reading by tau / tau_f. It does not change the slow part of the noise, and only
 this part adds up to an angle.
 
 The gyroscopes themselves determine the time constant. A block of rest at reading T_m and slope T_m' was at T = T_m + tau T_m'.
@@ -43,26 +43,26 @@ LONGEST_GAP_S = 10.0  # longest gap that is interpolated (longer gaps stay NaN)
 MOST_MISSING = 0.5  # share of the readings that may be missing
 BOARD_C = (-40.0, 125.0)  # operating range of the parts of a board
 OFF_SET_POINT_C = 5.0  # largest difference between the column and a given set-point on the same scale
-HOT_C = 45.0  # above it all along: no room, and no body
-SPIKE = 8.0 * 1.4826  # times the median distance from the running median: eight standard deviations
+HOT_C = 45.0  # a temperature above this throughout is neither that of a room nor of a body
+SPIKE = 8.0 * 1.4826  # limit relative to the median distance from the running median: eight standard deviations
 LEAST_SPIKE_C = 0.5
-WINDOW_S, LEAST_REACH_S = 30.0, 1.0  # longest window of the moving mean, and half of the shortest
-KNOWN_TO_C = 0.02  # the window is as long as the mean needs for this standard deviation: a longer one blurs fast ramps
-BLURRED = 0.35  # in steps: if the readings scatter more, steps included, their mean shows no step
+WINDOW_S, LEAST_REACH_S = 30.0, 1.0  # longest window of the moving mean, and half of the shortest window
+KNOWN_TO_C = 0.02  # standard deviation of the mean that determines the window: a longer window blurs fast ramps
+BLURRED = 0.35  # in steps: if the readings, including steps, scatter more than this, their mean has no steps
 QUIET = 0.05  # in steps: smaller noise does not repeat changes of step
 SAME_STEP = 0.02  # in steps: largest distance of a column from whole steps
-# ---- and of the lag
+# ---- lag
 RAMP_C_PER_MIN = 1.0  # slope at which noise and remaining lag are balanced
-AT_ONCE = 1e-300  # s: a low-pass so fast that it is not there, for no lag
+AT_ONCE = 1e-300  # time constant of a low-pass that has no effect, for no lag, s
 LONGEST_LAG_S = 300.0
-NODE_C, MOST_KNOTS = 5.0, 16  # span of a power of the polynomial, and most powers
+NODE_C, MOST_KNOTS = 5.0, 16  # temperature span per power of the polynomial, and largest number of powers
 FEWEST = 24  # blocks
 MOVING_C_PER_MIN = 0.1
 WARM_UP_S = 600.0  # time constant of the power-on transient that is fitted with the lag
-LEAST_OWN = 0.1  # share of the squared slopes that temperature and direction must leave unexplained: a second speed
+LEAST_OWN = 0.1  # share of the squared slopes that temperature and direction must leave unexplained, for a second speed
 SEARCH_S = 5.0  # step of the search for the lag
 
-Source = Literal["column", "set-points", "means"]  # means: rows that are means over set-points
+Source = Literal["column", "set-points", "means"]  # "means": rows that are means over set-points
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -71,14 +71,14 @@ class Temperature:
 
     time: FloatArray  # (N,), s
     temp_c: FloatArray  # (N,), smooth temperature, degC, or NaN if unknown
-    noise_c: float = 0.0  # standard deviation of the mean of a second by noise and steps, K
+    noise_c: float = 0.0  # standard deviation of the mean over a second, due to noise and steps, K
     scatter_c: float = 0.0  # median distance of readings from the smooth temperature, K
     source: Source
-    findings: tuple[Finding, ...] = ()  # doubts about the column
+    findings: tuple[Finding, ...] = ()  # findings about the column
 
 
 def trusted_temperature(session: Session, index: int, *, means: bool = False) -> Temperature:
-    """Return the smoothed temperature of a recording, with findings about doubtful readings, or that of ``means`` as given."""
+    """Return the smoothed temperature of a recording, with findings about doubtful readings. ``means`` are not smoothed."""
     record, temp_c = session.records[index], session.records[index].temp_c
     pieces: list[Still | Turn] = [*session.stills, *session.turns]
     set_points = [
@@ -146,7 +146,7 @@ def _column_temperature(
         sentence = (
             f"The temperature of recording {index} is {low:.1f} to {high:.1f} degC throughout, above room temperature."
         )
-        action = "Check for degF read as degC or a wrong scale (units.temp, scale.temp). For a chamber or a warm chip, ignore this."
+        action = "Check for degF read as degC or a wrong scale (units.temp, scale.temp). Ignore this for a chamber or a warm chip."
         findings.append(finding("drift.temperature_implausible", "warn", sentence, action))
     differences = [(float(np.nanmedian(readings[p])) - c, c) for p, c in set_points if np.isfinite(readings[p]).any()]
     difference, set_point = max(differences, key=lambda pair: abs(pair[0]), default=(0.0, 0.0))
@@ -175,11 +175,11 @@ def _spikes(temp_c: FloatArray, step_c: float) -> BoolArray:
     return spikes
 
 
-# ---- the smooth course behind readings; temp_c (N,) degC, time (N,) s
+# ---- smooth course of readings; temp_c (N,) degC, time (N,) s
 
 
 def step_of(temp_c: FloatArray) -> float:
-    """Return the step of the readings, or 0 if they are on no grid."""
+    """Return the step of the readings, or 0 if they are not on a grid."""
     values = np.unique(temp_c)
     if len(values) < 2 or len(values) > max(2, len(temp_c) // 4):
         return 0.0
@@ -191,7 +191,7 @@ def step_of(temp_c: FloatArray) -> float:
 
 
 def _smooth(temp_c: FloatArray, time: FloatArray, step: float) -> tuple[float, FloatArray]:
-    """Return the noise of the mean of a second, and the smooth temperature, which is not continued across a long gap."""
+    """Return the noise of the mean over a second, and the smooth temperature, which is not interpolated across a long gap."""
     if len(temp_c) < 8 or np.ptp(temp_c) == 0.0:
         return 0.0, temp_c
     interval_s = float(np.median(np.diff(time)))
@@ -218,7 +218,7 @@ def _between_steps(temp_c: FloatArray, time: FloatArray, step: float, window_s: 
 
 
 def moving_mean(values: FloatArray, time: FloatArray, window_s: float) -> FloatArray:
-    """Return the mean over a window around each sample, (N,). Near the ends the window shrinks on both sides: nothing shifts."""
+    """Return the mean over a window around each sample, (N,). Near the ends, the window shrinks on both sides to avoid a shift."""
     if time[-1] - time[0] < 2.0 * LEAST_REACH_S or float(np.median(np.diff(time))) > LEAST_REACH_S:
         return values
     total = np.concatenate(([0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time))))
@@ -279,10 +279,10 @@ class LagFit:
 
 
 def estimate_lag(blocks: RestBlocks) -> LagFit:
-    """Return the time constant for which the gyroscopes' readings at equal temperature agree for all ramps."""
+    """Return the time constant for which the gyroscope readings at equal temperature agree in all ramps."""
     direction = cooling(blocks)
     usable = np.isfinite(blocks.temp_c) & np.isfinite(blocks.ramp_c_per_min) & np.isfinite(blocks.gyro).all(axis=1)
-    settled = usable & (np.abs(direction) > 0.99)  # after a turn a hysteresis is still changing
+    settled = usable & (np.abs(direction) > 0.99)  # after a reversal, hysteresis is still changing
     rows = settled if settled.sum() >= FEWEST else usable
     blocks, direction = blocks.taken(rows), direction[rows]
     temp_c, slope = blocks.temp_c, blocks.ramp_c_per_min / 60.0
@@ -311,7 +311,7 @@ def estimate_lag(blocks: RestBlocks) -> LagFit:
 
 
 def _curve(temp_c: FloatArray) -> FloatArray:
-    """Return polynomials over the temperatures (n,), with about one degree of freedom for 5 K, (n, k)."""
+    """Return polynomials over the temperatures (n,), with about one degree of freedom per 5 K, (n, k)."""
     low, span = float(temp_c.min()), float(np.ptp(temp_c)) + 1e-9
     degree = 2 + int(np.clip(round(span / NODE_C), 1, MOST_KNOTS))
     return np.polynomial.chebyshev.chebvander(2.0 * (temp_c - low) / span - 1.0, degree)

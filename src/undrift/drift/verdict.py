@@ -2,15 +2,15 @@
 
 Comparison with the calibration's constants, before tables replace them::
 
-    turns      inv(K_c) K    near one for K of each soak and K_c of the calibration (another order or sign of axes is refused)
+    turns      inv(K_c) K    near identity for K of each soak and K_c of the calibration (another order or sign of axes is refused)
     scale      its diagonal at the node nearest to the reference temperature, minus 1
     offset     table at the reference temperature, or at the nearest observed node, minus the calibration's constant
     gravity    length of the corrected specific force at the rests nearest the reference temperature, minus g
     sessions   standard deviation from session to session
 
-Offsets differ from one switch-on to the next, and the calibration may have used another thermometer. The allowed difference is
-2 deg/s, plus the slope over 2 K and over twice the distance between reference and node. A larger difference counts from three
-standard uncertainties, of table and calibration together, and can be bad from ten.
+Offsets differ from one switch-on to the next, and the calibration may have used another thermometer. The allowed difference is 2
+deg/s, plus the slope over 2 K and over twice the distance between reference and node. A larger difference is reported from three
+standard uncertainties of table and calibration together, and can be bad from ten.
 """
 
 from collections.abc import Iterator, Sequence
@@ -31,20 +31,20 @@ from undrift.record import Session, TemperatureSensitivity
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, si_factor
 
 TURN_ON_DPS = 2.0  # shift from one switch-on to the next (data sheets of consumer gyroscopes have smaller limits)
-FAR_DPS = 10.0  # no switch-on moves an offset so far
+FAR_DPS = 10.0  # no switch-on changes an offset by as much
 MOST_BETWEEN_DPS = 5.0  # largest standard deviation between sessions of the same device
 MOST_BEND = 0.01  # (deg/s)/K2, five times the value of consumer gyroscopes [assumed]
-LEAST_MISS_DPS = 0.25  # smallest one reported
-SIGNIFICANT, CERTAIN = 3.0, 10.0  # standard uncertainties from which two values differ, and may be bad
+LEAST_MISS_DPS = 0.25  # smallest bend that is reported
+SIGNIFICANT, CERTAIN = 3.0, 10.0  # standard uncertainties from which values differ, and from which they may be bad
 LEFT_ACCEL_MG = 10.0  # effect of turn-on and ageing on accelerometers, and of local gravity elsewhere [assumed]
-NEAR_C = 5.0  # rests within this of the nearest to the reference temperature are compared with gravity
+NEAR_C = 5.0  # rests within this of the rest nearest to the reference temperature are compared with gravity
 UNKNOWN_DEPARTURE_C = 10.0  # distance to the reference temperature, if the calibration has none
-TEMPERATURE_OFF_C = 2.0  # between the thermometers of calibration and session
-SCALE_OFF = (0.02, 0.05)  # marginal, and bad
-SCALE_PER_C = 1e-3  # allowed for each degree between the reference and the nearest soak: the steepest sensors
+TEMPERATURE_OFF_C = 2.0  # possible difference between the thermometers of calibration and session
+SCALE_OFF = (0.02, 0.05)  # limits of marginal and bad
+SCALE_PER_C = 1e-3  # allowed change per degree between the reference and the nearest soak: the steepest sensors
 NARROW_C = 5.0  # a table over a smaller range is a table of a single temperature
 MOST_EXTRAPOLATED = 0.25  # largest share of extrapolated nodes
-APART_C, WIDE_C = 1.0, 2.0  # distance to the next set-point, and width from which a set-point is a sweep
+APART_C, WIDE_C = 1.0, 2.0  # smallest distance to the next set-point, and width above which a set-point is a sweep
 
 
 def _dps(model: TriadModel) -> FloatArray:
@@ -86,7 +86,7 @@ def check_turns(scale: ScaleFit | None, device: Calibration) -> Iterator[Finding
     what = "thermal session's turns against the calibration"
     check_axis_order(typical, f"{what} (scale ratios {ratios} on x, y, z)", against="turns")
     nodes, change = scale.drift.temp_c, (np.linalg.inv(constant) @ scale.forward).diagonal(axis1=1, axis2=2) - 1.0
-    known = np.isfinite(device.reference_temp_c)  # otherwise the best case for the device
+    known = np.isfinite(device.reference_temp_c)  # otherwise the ratios most favourable to the device
     node = int((np.abs(nodes - device.reference_temp_c) if known else np.abs(change).max(axis=1)).argmin())
     deviation, reference_c = change[node], device.reference_temp_c if known else nodes[node]
     allowed = SCALE_PER_C * np.abs(soaks.temp_c - reference_c).min()
@@ -109,7 +109,7 @@ def check_offsets(static: StaticFit, device: Calibration, gravity_rate: FloatArr
     nodes, reference_c = static.table.temp_c, device.reference_temp_c
     nodes_in_span = np.flatnonzero((nodes >= triad.span_c[0] - 1.0) & (nodes <= triad.span_c[1] + 1.0))
     distance = np.abs(nodes[nodes_in_span] - reference_c)
-    if not np.isfinite(reference_c):  # the best case for the device
+    if not np.isfinite(reference_c):  # the node most favourable to the device
         distance = np.abs(offset - model.offset)[nodes_in_span].max(axis=1)
     node = int(nodes_in_span[distance.argmin()])
     away_c = float(distance.min()) if np.isfinite(reference_c) else 0.0
@@ -143,7 +143,7 @@ def check_gravity(rests: RestBlocks, device: Calibration) -> Iterator[Finding]:
     near_reference = away_c <= away_c.min() + NEAR_C
     poses = split_by(np.flatnonzero(near_reference), rests.session[near_reference], rests.pose[near_reference])
     length = np.linalg.norm([force[rows].mean(axis=0) for rows in poses], axis=1)
-    local_gravity = device.gravity_m_s2  # parameters of other programs do not state it
+    local_gravity = device.gravity_m_s2  # parameters of other programs do not contain an uncertainty
     gravity = local_gravity if np.isfinite(local_gravity) else STANDARD_GRAVITY
     miss_mg = 1e3 * float(np.sqrt(np.mean((length / gravity - 1.0) ** 2)))
     matrix, offset = model.standard_uncertainty[:9].reshape(3, 3), model.standard_uncertainty[9:12]
@@ -164,7 +164,7 @@ def check_gravity(rests: RestBlocks, device: Calibration) -> Iterator[Finding]:
 
 
 def _guess_unit(reading: FloatArray, constant: FloatArray) -> str:
-    """Return the unit error that explains an offset (3,) by the other offset, along the same direction."""
+    """Return the unit error that explains the ratio of two offsets (3,) in the same direction."""
     ratio = float(reading @ constant) / max(float(constant @ constant), 1e-300)
     same_direction = np.linalg.norm(reading - ratio * constant) <= 0.2 * np.linalg.norm(reading)
     for factor, text in ((1.0 / RADIAN_PER_DEGREE, "deg/s, not rad/s"), (RADIAN_PER_DEGREE, "rad/s, not deg/s")):
@@ -177,14 +177,14 @@ def _guess_unit(reading: FloatArray, constant: FloatArray) -> str:
 
 
 def check_lag(lag: LagFit | None) -> Iterator[Finding]:
-    """Yield a finding if the lag was estimated and is not observable."""
+    """Yield a finding if the lag was estimated but is not observable."""
     if lag is not None and not np.isfinite(lag.uncertainty_s):
         action = "Record ramps up and down at two speeds, for example 0.5 and 3 degC/min."
-        yield not_observable("info", "Thermometer lag", "it is not separate from hysteresis.", action)
+        yield not_observable("info", "Thermometer lag", "it cannot be separated from hysteresis.", action)
 
 
 def check_rests(sessions: Sequence[Session], rests: RestBlocks, steps: RateSteps) -> Iterator[Finding]:
-    """Yield a finding about recordings that do not contribute to the fit, because they never rest."""
+    """Yield a finding about recordings that do not contribute to the fit because they contain no rest."""
     used = {*rests.session.tolist(), *steps.session.tolist()}
     names = [s.inputs[0][0] if s.inputs else f"session {k + 1}" for k, s in enumerate(sessions) if k not in used]
     if names:
@@ -201,7 +201,7 @@ def check_temperatures(
         yield finding(
             "drift.set_points_only",
             "warn",
-            "No recording has a temperature column, so the tables use the set-points. A device thermometer reads differently.",
+            "No recording has a temperature column, so the tables use the set-points. A device's thermometer reads differently.",
             "Map the temperature column, also in recordings to correct.",
         )
     triad = static.gyro
@@ -211,13 +211,13 @@ def check_temperatures(
     if share > MOST_EXTRAPOLATED or high_c - low_c < NARROW_C:
         sentence = f"The temperatures cover {low_c:.1f} to {high_c:.1f} degC only, and {100.0 * share:.0f} % of the nodes have "
         sentence += "no data near them."
-        action = "Record over the temperatures of use, 20 K or more."
+        action = "Record over the temperatures at which the device is used, 20 K or more."
         yield finding("drift.narrow_span", "warn", sentence, action)
     yield from _check_bends(triad, device.gyro)
 
 
 def _check_bends(triad: TriadDrift, model: TriadModel | None) -> Iterator[Finding]:
-    """Yield a finding if a set-point is off the line between its neighbours by more than a sound device.
+    """Yield a finding if a set-point is farther off the line between its neighbours than is plausible for a sound device.
 
     Set-points t of a session with mean offset y, with the second divided difference::
 
@@ -245,5 +245,5 @@ def _check_bends(triad: TriadDrift, model: TriadModel | None) -> Iterator[Findin
             "warn",
             f"The offset at {temp_c:.1f} degC is {miss_dps:.2g} deg/s off the line between its neighbours: it bends by "
             f"{told_apart(largest_bend, '.2g', MOST_BEND)} (deg/s)/K2 (limit {MOST_BEND:g}).",
-            "Check for two devices, set-points in a wrong order or a slow turn, and record that soak again.",
+            "Check for two devices, set-points in the wrong order or a slow turn, and record this soak again.",
         )

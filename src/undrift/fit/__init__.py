@@ -6,7 +6,7 @@
     carried   means of gravity in the level frame of the strapdown, for fits in motion
     priors    sizes of error sources that the readings of a session cannot determine
 
-In: readings (E, 3), designs (E, P), and covariances of the rows by source. Out: parameters with covariance and, by source, their
-budget, which certificate, report and verdict use. Units are the units of the readings. Nothing here depends on a session. Open gls
+Input: readings (E, 3), designs (E, P), and covariances of the rows by source. Output: parameters with covariance and a budget by
+source, which certificate, report and verdict use. Units are the units of the readings. Nothing here depends on a session. Open gls
 first.
 """

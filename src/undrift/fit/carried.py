@@ -1,13 +1,13 @@
-"""Gravity in the level frame of the strapdown: what mean specific forces determine about rates and forces in motion.
+"""Gravity in the level frame of the strapdown: the effect of rate and force errors on mean specific forces in motion.
 
 ::
 
     F(t) = R(t) f(t) = g u + a(t)          specific force f, turned by the strapdown R of the rates w into the first frame
     <F>_k + D_k x = g u + e_k              Hann means over 5 s, with the effect D_k of changes x of the model
 
-An error x e of the rate turns all that follows, and adds (the integral of R e x dt) x F. An error of the force adds itself, turned
-by R. A body that comes back has no mean acceleration, so the remainder of a is white. Means that overlap by half have a correlation
-of one sixth. Remaining model errors turn the frame at random with density q: horizontal means k and l share g^2 q min(t_k, t_l).
+An error x e of the rate turns all later vectors, and adds (the integral of R e x dt) x F. An error of the force adds itself, turned
+by R. A body that returns has no mean acceleration, so the remainder of a is white. Means that overlap by half have a correlation of
+one sixth. Remaining model errors turn the frame at random with density q: horizontal means k and l share g^2 q min(t_k, t_l).
 Restricted likelihood determines both sizes. A long push (lift, car, bend) looks like a tilt, which increases the sizes and the
 uncertainty.
 """
@@ -42,12 +42,13 @@ class CarriedMeans:
         share = np.maximum([self.weight @ moving[k : k + width] for k in self.first], _RESTING)
         when = np.cumsum(0.5 * MEAN_S * share)
         rests = share == _RESTING
-        # a rest has one mean: more would set the sizes
+        # a rest has one mean: several means would determine the sizes
         used_windows = np.flatnonzero(~rests | ~np.append(False, rests[:-1]))
         self.first, scatter, when = self.first[used_windows], np.sqrt(share[used_windows]), when[used_windows]
         distance = np.subtract.outer(used_windows, used_windows)
         shared = np.outer(scatter, scatter) * ((distance == 0) + _SHARED * (abs(distance) == 1))
-        # combinations of means that neither error correlates: their variance is white + density walk, none about the vertical
+        # combinations of means that neither error correlates: their variance is white + density walk, without a walk about the
+        # vertical
         walk, self.apart = eigh(STANDARD_GRAVITY**2 * np.minimum.outer(when, when), shared)
         self.walk = np.concatenate((walk, walk, np.zeros(len(walk))))
 
@@ -74,8 +75,8 @@ class CarriedMeans:
     ) -> tuple[FloatArray, FloatArray]:
         """Return information (P, P) and right side (P,) for changes x of P parameters, without the vertical.
 
-        Means (K, 3) have the ``design`` (K, 3, P). ``usual`` (P,) are prior deviations of x while the sizes are estimated.
-        ``length`` contains gravity and its deviation, m/s2.
+        Means (K, 3) have the ``design`` (K, 3, P). ``usual`` (P,) contains the prior standard deviations of x while the sizes are
+        estimated. ``length`` contains gravity and its deviation, m/s2.
         """
         up, unknown = mean.mean(axis=0), design.shape[2]
         frame = np.linalg.svd(up[None])[2][[1, 2, 0]]  # two horizontal axes, and the vertical
@@ -118,9 +119,9 @@ class CarriedMeans:
 def tilted_axes(time: FloatArray, force: FloatArray, deviation: float) -> FloatArray:
     """Return the projector (3, 3) onto the axes that leave the vertical by more than accelerometers can measure, in means over 5 s.
 
-    An error of the rate about the vertical turns no gravity. If an axis stays within ``deviation / g`` of the vertical, rms, errors
-    of the accelerometers (``deviation``, m/s2) would seem to determine it. A swing that ends within 5 s shows no such error either:
-    its accelerations look like gravity.
+    An error of the rate about the vertical does not turn gravity. If an axis stays within ``deviation / g`` of the vertical, rms,
+    errors of the accelerometers (``deviation``, m/s2) would seem to determine it. A swing that ends within 5 s does not reveal such
+    an error either, because its accelerations look like gravity.
     """
     directions = force / np.linalg.norm(force, axis=1)[:, None]
     means = [part.mean(axis=0) for part in np.array_split(directions, max(1, round((time[-1] - time[0]) / MEAN_S)))]

@@ -26,19 +26,19 @@ from undrift.arrays import FloatArray
 from undrift.errors import NotObservable
 from undrift.fit.gls import student_factor
 
-BOW_SPAN_C = 10.0  # over this span the slope changes by as much as its mean: prior of the parabola [assumed]
+BOW_SPAN_C = 10.0  # span over which the slope changes by as much as its mean: prior of the parabola [assumed]
 BEND_SPAN_C = 50.0
-DEPARTURE = 2.47e-3  # rms departure from a parabola over 50 K, share of the range of the values: drawn ENC-03J devices
+DEPARTURE = 2.47e-3  # rms departure from a parabola over 50 K, share of the range, from simulated ENC-03J devices
 DEPARTURE_OF_UNIT = 0.0202  # rms departure from a parabola of a bend of size 1 over the span
 VISIT_OF_RANGE = 3e-3  # usual scatter of visits: share of the range of the values [assumed]
-VISIT_OF_NOISE = 2.4  # and at least this share of a row's noise [assumed]
-SMALLEST = 1e-12  # rad/s, m/s2 or count: range of readings that do not change
-JITTER = 1e-11  # share of the variance of the values: keeps a curve through exact values solvable
+VISIT_OF_NOISE = 2.4  # smallest usual scatter, share of a row's noise [assumed]
+SMALLEST = 1e-12  # smallest range of readings, for constant readings: rad/s, m/s2 or count
+JITTER = 1e-11  # smallest variance, share of the variance of the values: a curve through exact values remains solvable
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NodeValues:
-    """Curves at nodes."""
+    """Values of curves at nodes, with covariance."""
 
     value: FloatArray  # (m, k), unit of the values
     covariance: FloatArray  # (k, m, m), covariance of the nodes of each curve, unit squared
@@ -89,7 +89,7 @@ class Curve:
 
     @property
     def widened(self) -> "Curve":
-        """The same curve with both variances widened for few degrees of freedom."""
+        """Return the curve with both variances widened for few degrees of freedom."""
         return replace(self, bend=self.widening * self.bend, visit=self.widening * self.visit, widening=1.0)
 
     @property
@@ -132,7 +132,7 @@ def fit_curve(
 ) -> Curve:
     """Fit a curve to each column of ``value`` (n, k) at ``temp_c`` (n,), degC.
 
-    ``variance`` (n, k) belongs to the rows, and ``shared`` (k, n, n) is an additional known covariance. ``correlation`` (n, n)
+    ``variance`` (n, k) is that of the rows, and ``shared`` (k, n, n) is an additional known covariance. ``correlation`` (n, n)
     assigns rows to visits (default: each row is a visit). Raise ``NotObservable`` if all rows are at the same temperature, or do
     not determine a line and the coefficients of ``regressors`` (n, p).
     """
@@ -167,12 +167,12 @@ def fit_curve(
     )
     curve = _maximize_likelihood(curve)
     freedom = _visit_freedom(curve)
-    # without a contrast the prior speaks
+    # without a contrast, only the prior counts
     return replace(curve, widening=student_factor(freedom) if freedom >= 1.0 else 1.0)
 
 
 def log_restricted_likelihood(contrasts: FloatArray, covariance: FloatArray) -> float:
-    """Return the log restricted likelihood of contrasts A'y (k, r) of all columns together, of covariance (k, r, r)."""
+    """Return the log restricted likelihood of contrasts A'y (k, r) of all columns together, with covariance (k, r, r)."""
     factor = np.linalg.cholesky(covariance)
     white = np.linalg.solve(factor, contrasts[:, :, None])
     return float(-np.log(np.diagonal(factor, axis1=1, axis2=2)).sum() - 0.5 * (white**2).sum())
@@ -223,7 +223,7 @@ def _visit_freedom(curve: Curve) -> float:
 
 
 def bending(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return the covariance of an integrated Wiener process that runs both ways from 0, where it is flat.
+    """Return the covariance of an integrated Wiener process that runs in both directions from 0, where its value and slope are 0.
 
     k(s, t) = m^2 (3 M - m) / 6 on the same side of 0, with m the smaller and M the larger of |s| and |t|, and k = 0 across it.
     """

@@ -10,9 +10,9 @@ wobble of a rate table increases with the rate. Its variance s_j >= 0 maximises 
 
     r' V^-1 E_j V^-1 r = tr(P E_j)   P = V^-1 - V^-1 X C X' V^-1
 
-A few residuals determine an excess variance with an uncertainty. Its contribution to the covariance is therefore widened by the
-square of Student's quantile over the normal quantile, for nu_j = tr(P E_j)^2 / tr(P E_j P E_j) degrees of freedom. An interval of
-1.96 standard uncertainties then contains 95 % of cases.
+A few residuals determine an excess variance only roughly. Its contribution to the covariance is therefore widened by the square of
+Student's quantile over the normal quantile, for nu_j = tr(P E_j)^2 / tr(P E_j P E_j) degrees of freedom. An interval of 1.96
+standard uncertainties then contains the true value in 95 % of cases.
 
 For three sensors and known inputs (``solve_inverse``): M s - c - G a = f + e, with readings s, inputs f, and specific force a if
 the sensors respond to it. If the readings were the columns of X, their errors would make M too small. Their projection s^ on the
@@ -20,8 +20,8 @@ known columns (f, a, 1) replaces them, and the current M multiplies the remainde
 
     M s^ - c - G a = f - M (s - s^) + e
 
-A prior of G applies to the g-sensitivity of the readings, H = M^-1 G. Otherwise it would pull a scale without an input towards
-zero. With M_0 and H of the previous step, it is the prior of G - (M - M_0) H.
+A prior of G applies to the g-sensitivity of the readings, H = M^-1 G. Otherwise, the prior would pull a scale without an input
+towards zero. With M_0 and H of the previous step, it is a prior of G - (M - M_0) H.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -35,19 +35,19 @@ from undrift.arrays import FloatArray, IntArray
 from undrift.errors import NotObservable
 
 MAX_ITERATIONS, MOST_HALVINGS = 100, 12
-FIRST_STEPS = 5  # for a single excess variance, enough to compare likelihoods
+FIRST_STEPS = 5  # number of steps for a single excess variance, enough to compare likelihoods
 TOLERANCE = 1e-4  # step of the excess variances, in their standard errors, at which the iteration ends
 ROUNDS, CONVERGED = 8, 0.01  # fit of the inverse model: rounds, and final change in standard deviations of a row
-ROUNDING = 1e-11  # relative to a variance: a sum of covariances is positive definite only within its rounding
-RANK_OF_ROWS = 1e-14  # relative to the largest pivot: below it a parameter is not determined
-RANK = 1e-9  # relative to the largest singular value of known columns
-SHOWN = 1e-6  # share of a shape that the residuals must keep
+ROUNDING = 1e-11  # relative to a variance: a sum of covariances is positive definite only within rounding
+RANK_OF_ROWS = 1e-14  # relative to the largest pivot: below this, a parameter is not determined
+RANK = 1e-9  # limit relative to the largest singular value of known columns
+SHOWN = 1e-6  # smallest share of a shape that must remain in the residuals
 NORMAL_95 = 1.959963984540054
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Prior:
-    """Knowledge about the parameters before the fit."""
+    """Prior knowledge about the parameters."""
 
     mean: FloatArray  # (P,)
     precision: FloatArray  # (P, P), inverse covariance, with zero rows for parameters without a prior
@@ -64,7 +64,7 @@ class GlsFit:
     freedom: Mapping[str, float]  # degrees of freedom nu_j of each excess variance
     residuals: FloatArray  # (E,), y - X theta
     gains: FloatArray  # (P, E), d theta / d y
-    sources: Mapping[str, FloatArray]  # covariance (E, E) of the rows by source, with the excess of its kind, widened
+    sources: Mapping[str, FloatArray]  # covariance (E, E) of the rows by source, including its widened excess variance
 
 
 @contextmanager
@@ -74,8 +74,8 @@ def determined(quantity: str) -> Iterator[None]:
         yield
     except np.linalg.LinAlgError as error:
         raise NotObservable(
-            f"{quantity}: the readings do not determine it ({error}). Record more temperatures, and check that no axis repeats "
-            "one reading."
+            f"{quantity}: the readings do not determine it ({error}). Record more temperatures, and check that no axis repeats a "
+            f"single reading."
         ) from error
 
 
@@ -99,7 +99,7 @@ def solve(
 
     ``sources`` contains the known covariances S_i by name, and ``excess`` the shapes E_j of errors of unknown size. Each is a
     matrix (E, E) or its diagonal (E,). The sum of the sources must be positive definite. In the budget, an excess belongs to the
-    source named by the first word of its kind. ``start`` contains first values of the excess variances, from a similar fit. Raise
+    source named by the first word of its kind. ``start`` contains initial values of the excess variances from a similar fit. Raise
     ``numpy.linalg.LinAlgError`` if rows and prior together do not determine theta.
     """
     length = np.linalg.norm(design, axis=0)
@@ -153,7 +153,7 @@ def solve_inverse(
     rows of the readings, 3 E in all.
     """
     count, forces = len(reading), [] if force is None else [force]
-    # inputs along an axis with a prior are a small tilt of the others, and their noise would pull its scale towards zero
+    # inputs along an axis with a prior are due to a small tilt of the others, and their noise would pull the scale towards zero
     turn_axes = np.full(3, True) if prior is None else np.diag(prior.precision)[:9:4] == 0.0
     columns = np.hstack([value[:, turn_axes], np.ones((count, 1)), *forces])
     left, singular, _ = np.linalg.svd(
@@ -184,7 +184,7 @@ def solve_inverse(
 
 
 def _convert_prior(prior: Prior, matrix: FloatArray, slope: FloatArray) -> Prior:
-    """Return the prior of M, c and G (21) with G - (M - M_0) H in place of G, for M_0 ``matrix`` and H ``slope``."""
+    """Return the prior of M, c and G (21) with G - (M - M_0) H instead of G, for M_0 ``matrix`` and H ``slope``."""
     jacobian = np.eye(21)
     jacobian[12:, :9] = -np.kron(np.eye(3), slope.T)
     shift = np.append(np.zeros(12), matrix @ slope)
@@ -193,7 +193,7 @@ def _convert_prior(prior: Prior, matrix: FloatArray, slope: FloatArray) -> Prior
 
 
 def _matrix(covariance: FloatArray) -> FloatArray:
-    """Return a covariance (E, E), also if its diagonal (E,) was given."""
+    """Return a covariance (E, E), from the matrix or from its diagonal (E,)."""
     return np.diag(covariance) if covariance.ndim == 1 else covariance
 
 
@@ -271,7 +271,7 @@ class _GlsRows:
 
         excess = [variance * _matrix(shape) for variance, shape in zip(variances, self.shapes, strict=True) if variance]
         covariance = self.stated + sum(excess, np.zeros_like(self.stated))
-        # noise may be smaller than the rounding of a common source, so that the sum is singular
+        # noise may be smaller than the rounding error of a common source, so that the sum is singular
         factor = np.linalg.cholesky(covariance + np.diag(ROUNDING * np.diag(covariance)))
         root = np.asarray(dtrtri(factor, lower=1)[0])
         orthonormal, triangle = np.linalg.qr(np.vstack((root @ self.design, self.prior)))
@@ -294,16 +294,16 @@ class _GlsRows:
 
 # ---- excess variances by restricted likelihood: Fisher scoring, bounded at zero
 #
-# The score of variances s is g_j = r' V^-1 E_j V^-1 r - tr(P E_j), the information I_jk = tr(P E_j P E_k). A step leads to
+# The score of variances s is g_j = r' V^-1 E_j V^-1 r - tr(P E_j), the information is I_jk = tr(P E_j P E_k). A step leads to
 #
 #     s+ = argmin_{x >= 0} (x - s)' I (x - s) / 2 - g' (x - s)
 #
-# as long as the likelihood increases. Otherwise two similar shapes would exchange their variances without end. The
-# likelihood may have several maxima, so the descent begins with the kind that is likeliest without the others.
+# as long as the likelihood increases. Otherwise, two similar shapes would exchange their variances endlessly. The
+# likelihood may have several maxima, so the ascent begins with the kind that has the largest likelihood without the others.
 
 
 def _excess_variances(rows: _GlsRows, first: FloatArray | None) -> tuple[FloatArray, _State]:
-    """Return the variance s_j >= 0 of each shape, and the solution for them. Begin with ``first`` (J,), if it is given."""
+    """Return the variance s_j >= 0 of each shape, and the solution for them. Start from ``first`` (J,), if it is given."""
     zero: FloatArray = np.zeros(len(rows.shapes))
     start = zero, rows.solve(zero)
     # a shape that the parameters absorb does not appear in the residuals, and its variance stays zero
@@ -356,13 +356,13 @@ def _bounded_step(variances: FloatArray, score: FloatArray, information: FloatAr
     return np.asarray(nnls(root[:, None] * vectors.T, vectors.T @ target / root)[0] / length - variances)
 
 
-# ---- excess variance: what the residuals show beyond the stated noise
+# ---- excess variance: scatter of the residuals beyond the known noise
 
 
 def excess_variance(residuals: FloatArray, variances: FloatArray, freedom: float) -> float:
     """Return s2 >= 0 such that sum r_k^2 / (v_k + s2) = degrees of freedom, for residuals r and variances v (E,).
 
-    A swaying hand or a nonlinearity moves whole poses. Only residuals reveal it, not the noise within a rest (Paule and Mandel,
+    A swaying hand or a nonlinearity moves whole poses. Only residuals reveal this, not the noise within a rest (Paule and Mandel,
     "Consensus values and weighting factors", 1982).
     """
     from scipy.optimize import brentq
@@ -370,7 +370,7 @@ def excess_variance(residuals: FloatArray, variances: FloatArray, freedom: float
     square = residuals**2
     if freedom <= 0 or not square.any():
         return 0.0
-    high = float(square.sum()) / freedom  # there the weighted sum is at most the degrees of freedom
+    high = float(square.sum()) / freedom  # upper bound, at which the weighted sum is at most the degrees of freedom
     low = 1e-12 * high
 
     def beyond(excess: float) -> float:
@@ -383,7 +383,7 @@ def excess_variance(residuals: FloatArray, variances: FloatArray, freedom: float
 #
 # P. J. Huber, "Robust estimation of a location parameter", 1964. To first order the estimate follows the rows within the bound.
 
-HUBER = 1.345  # k: for normal residuals as good as 95 % of the rows by least squares
+HUBER = 1.345  # k: for normal residuals, as efficient as least squares with 95 % of the rows
 
 
 def fit_huber(

@@ -27,11 +27,11 @@ THERMOMETER_LAG = 60.0
 
 # ---- matrix
 
-# scale factor that was not measured, relative: trimmed in the factory (data sheets state 1 to 3 %), and of counts. Assumed.
+# relative scale factor that was not measured: trimmed in the factory (data sheets state 1 to 3 %), and for counts. Assumed.
 SCALE_FACTOR = 0.03
 SCALE_FACTOR_IN_COUNTS = 0.2
 
-# largest difference from the nominal scale factor in data sheets, relative. Beyond it a finding asks for the unit.
+# largest difference from the nominal scale factor in data sheets, relative. Beyond this, a finding asks for the unit.
 SCALE_LIMIT = 0.05
 
 # cross-axis term before a calibration, relative: data sheets of MPU-6050 and ICM-20948 state 2 %, taken as two standard deviations.
@@ -39,7 +39,7 @@ CROSS_AXIS = 0.01
 
 # ---- rate tables
 
-# mounting of a device on a rate table before gravity measures it, rad, about each axis across the table's: loose. Assumed.
+# tilt of a device on a rate table before gravity measures it, rad, about each axis across the table axis: loose. Assumed.
 TABLE_MOUNTING = 1.0 * RADIAN_PER_DEGREE
 
 # distance of the accelerometers from the axis of a rate table, m: half the plate of a small table. Assumed.
@@ -50,7 +50,7 @@ SETTLE_S = 2.0
 
 # ---- optics and other references of orientation
 
-# tilt of the level of a reference, rad, about each horizontal axis: cameras are levelled with a frame on the floor. Assumed.
+# tilt of a reference's level, rad, about each horizontal axis: cameras are levelled with a frame on the floor. Assumed.
 REFERENCE_LEVEL = 2e-3
 
 # ---- limits of a verdict: marginal above the first, bad above the second
@@ -59,8 +59,8 @@ REFERENCE_LEVEL = 2e-3
 # A steady drift of this size is a source of error of gyroscope fits. Fits estimate the excess of a larger drift as a walk.
 REST_DRIFT = 0.05 * RADIAN_PER_DEGREE
 
-# drift of the gyroscopes' offset, deg/s: 0.1 in a minute causes an error of 3 deg after that minute, and no warm-up reaches 2.
+# drift of the gyroscopes' offset, deg/s: 0.1 within a minute causes an error of 3 deg after this minute, and no warm-up reaches 2.
 DRIFT_DPS = (0.1, 2.0)
 
-# standard uncertainty of the scale, per cent: 0.5 is 2 deg in a full turn, and 5 is as poor as data sheets.
+# standard uncertainty of the scale, per cent: 0.5 is 2 deg in a full turn, and 5 is as poor as in data sheets.
 UNCERTAIN_PERCENT = (0.5, 5.0)

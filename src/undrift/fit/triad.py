@@ -24,7 +24,7 @@ class TriadFit:
     """A fitted triad, its residuals, and findings about it."""
 
     model: TriadModel
-    residuals: FloatArray  # (E,) or (E, 3), unit_out
+    residuals: FloatArray  # (E,) or (E, 3), residuals, unit_out
     findings: tuple[Finding, ...] = ()
 
     @property
@@ -105,7 +105,7 @@ def fit_of(
 ) -> TriadFit:
     """Return fitted parameters as a fit to inputs (E, 3). ``names`` contains method, unit_in and unit_out.
 
-    ``remainder`` is the source of the covariance that no part explains.
+    ``remainder`` names the source of the covariance that no other source explains.
     """
     rank, condition = scaled_condition(np.column_stack((inputs, np.ones(len(inputs)))))
     finite = bool(np.isfinite(parameters.covariance).all())
@@ -128,7 +128,7 @@ def fit_of(
 
 
 def first_matrix(inputs: FloatArray, reading: FloatArray, regressors: FloatArray | None = None) -> FloatArray:
-    """Return a first M by least squares of readings (E, 3) over inputs (E, 3), an offset, and other columns (E, C)."""
+    """Return an initial M by least squares from readings (E, 3) over inputs (E, 3), an offset, and other columns (E, C)."""
     design = np.column_stack((inputs, np.ones(len(inputs)), *([] if regressors is None else [regressors])))
     return np.asarray(np.linalg.inv(np.linalg.lstsq(design, reading, rcond=None)[0][:3].T))
 
@@ -160,7 +160,7 @@ def weakest_parameters(
 ) -> tuple[float, tuple[str, ...]]:
     """Return the smallest rms effect of a combination of parameters on ``rows`` rows, and the parameters of weak combinations.
 
-    Combinations are weak with an effect below ``least``, and a parameter belongs to them with a share of 0.3 or more.
+    Combinations with an effect below ``least`` are weak. A parameter belongs to one if its share is 0.3 or more.
     """
     _, singular, right = np.linalg.svd(design, full_matrices=False)
     effect = singular / np.sqrt(rows)
