@@ -75,7 +75,7 @@ def test_a_plan_has_its_tasks_sessions_and_people(folder):
         (("[90.0, 50.0]", "[90.0, 51.0]"), "step must divide"),
         (('name = "step"', 'name = "dance"'), "dance"),
         (('category = "knee"', 'category = "hip"'), "hip"),
-        (('name = "mine"', 'name = "hand"'), "each once"),
+        (('name = "mine"', 'name = "hand"'), "different sessions"),
     ],
 )
 def test_a_plan_that_cannot_be_run_is_refused(folder, changed, said):
@@ -144,7 +144,7 @@ def test_a_turn_in_the_stated_rest_is_refused_with_the_length_of_the_rest() -> N
 
 def test_a_slow_turn_counts_by_the_tilt_that_it_spoils() -> None:
     is_still = find_rest(leaning(3.0, from_s=0.0))  # slower than the limit
-    with pytest.raises(InputError, match=r"The body is still for 0\.6 s"):
+    with pytest.raises(InputError, match=r"The body is still for only 0\.6 s"):
         check_rest(is_still, 2.0, FILE)  # half of 3 deg/s times 2 s
 
 

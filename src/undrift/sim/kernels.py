@@ -24,7 +24,7 @@ def add_drift(
     # out += mean over each dwell of Gauss-Markov processes and of a random walk that is 0 at the first dwell. One normal number
     # gives the start for the previous dwell, another gives the mean for the start. This is exact for any gap and length.
     count = constants.size
-    ahead, spread = np.zeros((count + 1, 3)), np.ones(count + 1)  # the end of the dwell before: mean, variance about it
+    ahead, spread = np.zeros((count + 1, 3)), np.ones(count + 1)  # mean and variance at the end of the previous dwell
     phi, root, pull, step_sd, fade = np.empty(count), np.empty(count), np.empty(count), np.empty(count), np.empty(count)
     last_length = -1.0
     for s in range(first.size - 1):
@@ -102,15 +102,15 @@ ANGLE, RATE, ERROR, SAMPLES = 0, 1, 2, 3  # state: rad, rad/s, counts, samples s
 class ServoSettings(NamedTuple):
     """Coefficients of the loop: the figures of the note."""
 
-    torque_constant: float = 0.1  # Kt, N m/A, and the back voltage of the motor in V s/rad
+    torque_constant: float = 0.1  # Kt, N m/A, also the back-EMF constant of the motor, V s/rad
     inertia: float = 2.0e-4  # J of motor and table, kg m2
     resistance: float = 2.0  # R of the winding, ohm
     amplifier_gain: float = 4.0  # Ka, A/V
     supply_voltage: float = 12.0  # supply voltage of the amplifier, positive and negative, V
     encoder_lines: int = 10_000  # N
-    period_s: float = 1.0e-4  # between samples, s
-    gains: tuple[float, float] = (12.5, 245.0)  # KP and KD, as a controller takes them
-    friction: float = 2.0e-3  # N m
+    period_s: float = 1.0e-4  # time between samples, s
+    gains: tuple[float, float] = (12.5, 245.0)  # KP and KD, in the units of the controller
+    friction: float = 2.0e-3  # friction torque, N m
 
     @property
     def counts_per_rad(self) -> float:
@@ -150,7 +150,7 @@ def servo(
             else:
                 torque = 0.0 if abs(torque) <= loop.friction else torque - math.copysign(loop.friction, torque)
             next_rate = rate + torque / loop.inertia * loop.period_s
-            if rate * next_rate < 0.0 and abs(drive) <= loop.friction:  # stops and sticks
+            if rate * next_rate < 0.0 and abs(drive) <= loop.friction:  # the motor stops and sticks
                 next_rate = 0.0
             state[ANGLE] = angle + 0.5 * (rate + next_rate) * loop.period_s
             state[RATE], state[ERROR] = next_rate, error

@@ -51,7 +51,7 @@ class Servo:
         return float(self._state[ERROR])
 
     def advance(self, time: float) -> tuple[FloatArray, FloatArray]:
-        """Advance to a time or slightly beyond. Return the times (n,), s, and angles (n,), rad, of the steps."""
+        """Advance to a given time or slightly beyond. Return the times (n,), s, and angles (n,), rad, of the steps."""
         count = max(math.ceil((time - self.time) / self.step_s - 1e-6), 0)
         times, angles = self.time + self.step_s * np.arange(1, count + 1), np.empty(count)
         servo(self._state, self.settings, self.powered, self._profile, self._stride, angles)
@@ -59,22 +59,22 @@ class Servo:
 
     @property
     def moving(self) -> bool:
-        """Whether the reference moves: a turn, or the way to rest, is not over."""
+        """Return True if the reference moves, because a turn or a deceleration to rest is not complete."""
         return self.time < float(self._profile[-1, 0])
 
     def reference(self) -> tuple[float, float]:
-        """Return commanded position and speed, counts and counts/s."""
+        """Return the commanded position and speed, counts and counts/s."""
         start, position, speed, acceleration = self._profile[np.searchsorted(self._profile[1:, 0], self.time, "right")]
         u = self.time - start
         return float(position + u * (speed + 0.5 * u * acceleration)), float(speed + u * acceleration)
 
     def switch(self, on: bool) -> None:
-        """Switch the motor on, at the current position of the axis, or off."""
+        """Switch the motor on (at the current position of the axis) or off."""
         self._follow((0.0, self.count, 0.0, 0.0))
         self.powered, self._state[ERROR] = on, 0.0
 
     def turn(self, speed: float, duration_s: float, acceleration: float) -> None:
-        """Turn at a speed for so long, ramps included, and rest: counts/s, counts/s2."""
+        """Turn at a speed, counts/s, for a given time including ramps, counts/s2, and then rest."""
         position, way = self.reference()[0], math.copysign(acceleration, speed)
         ramp_s = abs(speed) / acceleration
         held_s = duration_s - 2.0 * ramp_s
@@ -87,7 +87,7 @@ class Servo:
         )
 
     def slow_down(self, acceleration: float) -> float:
-        """Slow down to rest and return the duration, s."""
+        """Decelerate to rest and return the duration, s."""
         position, speed = self.reference()
         ramp_s = abs(speed) / acceleration
         rest = (ramp_s, position + 0.5 * speed * ramp_s, 0.0, 0.0)

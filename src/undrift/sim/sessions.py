@@ -1,4 +1,4 @@
-"""Simulated sessions and trials: a device, a motion, and what undrift is given of them."""
+"""Simulated sessions and trials: a device, a motion, and the data that undrift receives."""
 
 from dataclasses import dataclass
 
@@ -20,7 +20,7 @@ SAMPLE_RATE_HZ = 100.0  # sample rate of a trial
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SimulatedTrial:
-    """A test trial and the truth about it."""
+    """A test trial and its truth."""
 
     record: Record  # readings of the device
     reference: Reference  # poses of the cameras
@@ -50,7 +50,7 @@ def simulate_session(
     settings : BenchSettings, optional
         Rests, turns and errors of the bench.
     temp_c : float or (float, float), optional
-        Board temperature, degC: constant, or at start and end with an even rise. Default: the reference temperature.
+        Board temperature, degC: constant, or at start and end with a linear change. Default: the reference temperature.
     power_on_s : float
         Time since power-on at the first sample, s.
     labelled : bool

@@ -54,7 +54,7 @@ TableSession: TypeAlias = "np.recarray[Any, Any]"
 
 @lru_cache(maxsize=256)
 def lay_out(protocol: Protocol) -> TableSession:
-    """Lay out the session of a protocol in time."""
+    """Return the schedule of a protocol's session."""
     if protocol.rates is None:
         raise InputError("study: the protocol has no rates. Add the table [rates].")
     kinds, rows, clock = {"face": FACE, "bracket": REST, "rate": RATE}, list[tuple[float, ...]](), WARMED_UP_S
@@ -80,15 +80,15 @@ class BenchDraws:
         self.mount, self.level = (
             rng.standard_normal((3, 3)),
             rng.standard_normal(2),
-        )  # a row of mount per axis that is up
+        )  # one row of mount per axis that points up
         self.clock, self.face = float(rng.standard_normal(1)[0]), rng.standard_normal((6, 3))
 
 
 class ImposedDwells(NamedTuple):
     """True motion of N dwells, in order of time."""
 
-    start_s: FloatArray  # (N,), begin of each, settled, s since power-on
-    duration_s: FloatArray  # (N,), s
+    start_s: FloatArray  # (N,), start of each settled dwell, s since power-on
+    duration_s: FloatArray  # (N,), duration, s
     rate_b: FloatArray  # (N, 3), steady rate, rad/s
     force_b: FloatArray  # (N, 3), mean specific force, m/s2
 
@@ -128,7 +128,7 @@ SAMPLE_RATE_HZ = 100.0
 
 
 def numbers_of_dwell(chain: SensorChain) -> int:
-    """Return how many normal numbers each sensor of a chain needs for a dwell."""
+    """Return the number of normal numbers that each sensor of a chain needs for a dwell."""
     return 3 + 2 * (len(chain.instability.time_constants_s) if chain.instability else 0)
 
 
@@ -137,7 +137,7 @@ def mean_readings(
 ) -> FloatArray:
     """Return the mean readings of a triad over dwells (N, 3), unit of the reading.
 
-    normals (U, 3, ``numbers_of_dwell``), row (N,): dwells of different sessions with one row have the same draws.
+    normals (U, 3, ``numbers_of_dwell``), row (N,): dwells of different sessions with the same row have the same draws.
     """
     from undrift.sim.kernels import add_drift
 
@@ -157,7 +157,7 @@ def mean_readings(
         return np.asarray(reading + np.sqrt(variance) * normals[row, :, -1])
     if adc.inl_lsb.any() or (adc.rounding == "toward_zero" and adc.signed):
         raise InputError(
-            f"dwells: a straight converter that rounds to nearest or down is required, got {adc.rounding}. Use simulate_device."
+            f"dwells: a linear converter that rounds to nearest or down is required, got {adc.rounding}. Use simulate_device."
         )
     step, down = (1.0 if adc.codes else adc.step), (0.0 if adc.rounding == "nearest" else 0.5)
     samples = np.maximum(np.round(dwells.duration_s * SAMPLE_RATE_HZ), 1.0)[:, None]

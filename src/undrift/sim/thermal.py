@@ -10,12 +10,12 @@ Chamber: temperatures of set-point, air and board over time.
     soaked: |b'| < limit throughout the hold             otherwise the chamber waits longer
 
 With x = (a, a', b, r, r'), the system is x' = A x, so a step h is exactly ``x <- expm(h A) x``. Ramps end on whole steps and are
-never faster than the limit. Without a chamber, a board warms itself with two time constants, a fast one for die and package and a
-slow one for board and case::
+never faster than the limit. Without a chamber, a board warms up by itself with two time constants, a fast one for die and package
+and a slow one for board and case::
 
     b = end - (end - start) (p exp(-t / t_1) + (1 - p) exp(-t / t_2))
 
-A leg is recorded without interruption: a visit to a set-point, a whole ramp or a whole warm-up. Between legs the device keeps its
+A leg is recorded without interruption: a visit to a set-point, a whole ramp or a whole warm-up. Between legs, the device keeps its
 age, its hysteresis (which depends only on the turning points of the temperature), its random walk and the temperature of its
 thermometer. Bias instability, which is stationary, is drawn again for each leg.
 """
@@ -41,10 +41,10 @@ from undrift.units import RADIAN_PER_DEGREE
 
 STEP_S = 1.0  # time step of a profile, s
 SECONDS_PER_MINUTE = 60.0
-SOAK_RATE_C_PER_MIN = 0.1  # a board is soaked while its temperature changes by less, degC/min
-MAX_WAIT_S = 4.0 * 3600.0  # for a soak, s
+SOAK_RATE_C_PER_MIN = 0.1  # a board is soaked while its temperature changes by less than this, degC/min
+MAX_WAIT_S = 4.0 * 3600.0  # longest wait for a soak, s
 POWER_ON_S = 3600.0  # age of the device at the start of a programme, s (a warm-up starts at power-on)
-# of a board that warms itself: a fit to a recorded MPU-6050, true to 0.03 K rms
+# time constants of a board that warms up by itself: a fit to a recorded MPU-6050, accurate to 0.03 K rms
 FAST_SHARE, FAST_S, SLOW_S = 0.52, 150.0, 549.0
 
 
@@ -55,7 +55,7 @@ class ChamberSettings:
     # largest slope of the set-point between soaks, degC/min (faster ramps shorten a programme but increase the lag)
     ramp_rate_c_per_min: float = 2.0
     air_lag_s: float = 60.0  # s in the air's equation, s
-    damping: float = 0.7  # z in the air's equation: 1 and above never overshoots, 0.7 by 5 % of a sudden step
+    damping: float = 0.7  # z in the air's equation: no overshoot for 1 and above, 5 % of a sudden step for 0.7
     board_lag_s: float = 240.0  # time constant tau of the board, s (some minutes for a bare board in moving air)
     # duration for which a board must stay soaked, s, so that the turn of an overshoot does not count
     soak_hold_s: float = 60.0
@@ -67,12 +67,12 @@ class ChamberSettings:
 class Profile(NamedTuple):
     """Temperatures of the board in a programme, n steps."""
 
-    time: FloatArray  # (n,), s, evenly spaced from 0
-    board_c: FloatArray  # (n,), degC
+    time: FloatArray  # (n,), evenly spaced times from 0, s
+    board_c: FloatArray  # (n,), temperatures, degC
     soaked_s: tuple[float, ...] = ()  # for each visit to a set-point, the time at which the board is soaked, s
 
     def turns_before(self, time_s: float) -> FloatArray:
-        """Return the temperatures at which the board began and turned back: all that a play remembers, (k,) degC."""
+        """Return the temperatures at which the board started and reversed, (k,) degC. They are the memory of a play operator."""
         temps: FloatArray = self.board_c[self.time < time_s]
         if not len(temps):
             return temps
@@ -82,7 +82,7 @@ class Profile(NamedTuple):
 
 
 class ThermalChamber:
-    """A chamber at work: each order moves its clock on."""
+    """A chamber in operation: each command advances its clock."""
 
     def __init__(self, settings: ChamberSettings, start_c: float) -> None:
         from scipy.linalg import expm
@@ -152,7 +152,7 @@ def soak_profile(set_points_c: tuple[float, ...], measured_s: float, settings: C
 ThermalKind = Literal["soak", "ramp", "warm_up"]
 
 SET_POINTS_C = (18.0, *(float(temp) for temp in range(25, 76, 5)))  # the note's range, every 5 K from 25 degC on
-# rates for sit-to-stand with both limits, 36 with both signs
+# rates for sit-to-stand including both limits, 36 with both signs
 INCLUSIVE_RATES = tuple(rate * RADIAN_PER_DEGREE for rate in range(5, 91, 5))
 BENCH = BenchSettings(sample_rate_hz=50.0, turn_rates=INCLUSIVE_RATES)
 
@@ -165,12 +165,12 @@ class ThermalSettings:
     bench: BenchSettings = BENCH
     chamber: ChamberSettings = ChamberSettings()
     set_points_c: tuple[float, ...] = SET_POINTS_C  # in the order of the visits, degC
-    back: bool = False  # visit them again in the opposite order: reveals hysteresis, takes twice as long
+    back: bool = False  # repeat the set-points in opposite order, which reveals hysteresis and doubles the duration
     faces: Literal["one", "six"] = "one"  # rest with +z up at each set-point, or with each axis up and down
     ramp_c: tuple[float, float] = (18.0, 75.0)  # set-points at the ends of a ramp up and back down, degC
     ramp_c_per_min: float = 1.0  # slope of the set-point in a ramp, degC/min
-    ramp_hold_s: float = 600.0  # wait at the top of a ramp, and at the bottom in the end, s
-    # temperatures of a board that warms itself, at power-on and in the end, degC
+    ramp_hold_s: float = 600.0  # wait at the top of a ramp, and at its end, s
+    # temperatures of a board that warms up by itself, at power-on and at the end, degC
     warm_up_c: tuple[float, float] = (10.7, 29.1)
     warm_up_s: float = 2160.0  # duration of a warm-up, s
 
@@ -209,7 +209,7 @@ def _programme(kind: ThermalKind, settings: ThermalSettings, streams: Streams) -
         if bench.turn_rates:
             steady_rates(script, bench, streams)
 
-    rehearsal = Script(rate_hz, up)  # for the duration of a visit; its tilts are not used
+    rehearsal = Script(rate_hz, up)  # only for the duration of a visit; its tilts are not used
     rehearsal.still(1.0)
     before = rehearsal.samples
     write(rehearsal)
@@ -227,7 +227,7 @@ def _programme(kind: ThermalKind, settings: ThermalSettings, streams: Streams) -
 
 # ---- readings of the device
 
-RUN_IN_S = 2.0  # at the leg's own temperature, for the filters to settle
+RUN_IN_S = 2.0  # at the temperature of the leg, so that the filters settle
 
 
 def simulate_thermal_session(
@@ -242,8 +242,8 @@ def simulate_thermal_session(
     Parameters
     ----------
     kind : str
-        ``soak``: at each set-point a rest in one face or six, then steady rates both ways about three axes. ``ramp``: at rest,
-        up and down at a rate. ``warm_up``: at rest from power-on, no chamber.
+        ``soak``: at each set-point a rest in one face or six, then steady rates in both directions about three axes. ``ramp``: at
+        rest, up and down at a given slope. ``warm_up``: at rest from power-on, no chamber.
     device : DeviceModel
         The sensors.
     rng : Generator
@@ -289,7 +289,7 @@ def simulate_thermal_session(
     previous_s = 0.0
     for motion in legs:
         streams, gap_s = draw_streams(rng), max(float(motion.time[0]) - previous_s, 0.0)
-        for name in walks:  # they go on while nothing is recorded
+        for name in walks:  # these effects continue while nothing is recorded
             effect = getattr(device, name).random_walk
             if effect is not None:
                 steps = streams.of(f"{name}_walk").standard_normal(3)
@@ -334,7 +334,7 @@ def _simulate_leg(
 
 
 def _placed(piece: Any, motion: Motion, true_time: FloatArray, offset: int) -> Any:
-    """Return a label in samples of a record that begins at an offset. The clock of the device may err."""
+    """Return a label in samples of a record that begins at an offset. The clock of the device may be inaccurate."""
     slack = 1e-3 / motion.sample_rate_hz
     start, stop = (
         offset + (len(true_time) if edge >= len(motion) else int(np.searchsorted(true_time, motion.time[edge] - slack)))

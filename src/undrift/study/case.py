@@ -1,13 +1,12 @@
 """A device in a trial: its readings, and the remaining error of the pitch after correction.
 
-    readings -> correct (offset of the rest subtracted) -> strapdown from the rest, as orient -> pitch
-    error = pitch - true pitch
+    readings -> correct (offset of the rest subtracted) -> strapdown from the rest, as orient -> pitch error = pitch - true pitch
 
 Two errors are computed. The aligned error compares with the true pitch at the time of the readings, as in the note. The real-time
 error compares with the current true pitch. The simulation knows the delay of its device: the group delay of the filter, minus the
 half sample by which strapdown integrates early.
 
-A kind of error can be switched off. It is set to zero and not removed, so that all other draws stay the same.
+A kind of error can be switched off. It is set to zero, not removed, so that all other draws stay the same.
 """
 
 import zlib
@@ -37,16 +36,16 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
-WORN_S = 1800.0  # the device has been on for half an hour
+WORN_S = 1800.0  # time since power-on: half an hour
 REST_S = 6.0  # the note's rest before a motion
-TRIALS_KEPT = 128  # true motions that a process keeps: stages of a study share them
-REST_ENDS_S = 0.2  # before the motion: a person leans before the marked start
+TRIALS_KEPT = 128  # number of true motions that a process keeps, because stages of a study share them
+REST_ENDS_S = 0.2  # time before the motion: a person leans before the marked start
 
 OffsetRule = Literal["rest", "motion", "none"]
 EffectName = Literal["noise", "gyroscope offset", "accelerometer offset", "scale and axes", "delay", "assumed figures"]
 EFFECTS: tuple[EffectName, ...] = get_args(EffectName)
 ASSUMED: EffectName = (
-    "assumed figures"  # errors of a preset whose size no source states: left out where a unit is drawn
+    "assumed figures"  # errors of a preset whose size has no published source: omitted when a unit is drawn
 )
 
 # ---- generators and devices
@@ -59,7 +58,7 @@ def stream(seed: int, *words: str | int) -> np.random.Generator:
 
 
 def on_the_clock(device: DeviceModel) -> DeviceModel:
-    """Return a device that samples with the motion: sessions are marked by sample, and the lag is removed in any case."""
+    """Return a device that samples with the motion, because sessions are marked by sample and the lag is removed anyway."""
     sampling = device.sampling
     clock = Sampling(gyro_averaging=sampling.gyro_averaging, accel_averaging=sampling.accel_averaging)
     return device if sampling.on_grid else replace(device, sampling=clock)
@@ -67,7 +66,7 @@ def on_the_clock(device: DeviceModel) -> DeviceModel:
 
 @lru_cache(maxsize=64)
 def with_cutoff(device: DeviceModel, cutoff_hz: float | None) -> DeviceModel:
-    """Return a device that samples with its motion and has a low-pass of this cut-off, within the tolerance of its own parts."""
+    """Return a device that samples with its motion and has a low-pass with this cut-off, within the tolerance of its parts."""
     device = on_the_clock(device)
     if cutoff_hz is None:
         return device
@@ -92,7 +91,7 @@ _SCALE: dict[str, tuple[str, ...]] = {
 
 
 def device_without(device: DeviceModel, effect: EffectName) -> DeviceModel:
-    """Return a device without a kind of error. The delay is removed in the comparison, assumed figures where a unit is drawn."""
+    """Return a device without a kind of error. The delay is removed in the comparison, assumed errors when a unit is drawn."""
     chains = {}
     for name, chain in (("gyro", device.gyro), ("accel", device.accel)):
         fields: dict[str, tuple[str, ...]] = {}
@@ -122,7 +121,7 @@ def _zeroed(chain: SensorChain, fields: dict[str, tuple[str, ...]], *, square: b
 
 
 def pitch_delay_s(device: DeviceModel) -> float:
-    """Return the delay of the pitch against the true pitch, s."""
+    """Return the delay of the pitch relative to the true pitch, s."""
     late_s = 0.0 if device.gyro.low_pass is None else float(device.gyro.low_pass.group_delay_s[1])
     held_s = 0.5 / SAMPLE_RATE_HZ if device.sampling.gyro_averaging == "instant" else 0.0
     return late_s + float(device.sampling.gyro_delay_s[1]) - held_s
@@ -148,8 +147,8 @@ class Case:
 
     record: Record
     pitch_now: FloatArray  # (N,), true sagittal pitch, rad
-    pitch: FloatArray  # (N,), true sagittal pitch at the instant that the readings belong to, rad
-    still: Still  # samples of the rest
+    pitch: FloatArray  # (N,), true sagittal pitch at the time to which the readings belong, rad
+    still: Still  # samples in the rest
     moving: slice  # samples of the motion
 
 
@@ -162,7 +161,7 @@ def true_motion(performed: Task | RecordedTask) -> Motion:
 
 @lru_cache(maxsize=TRIALS_KEPT)
 def _true_pitch(performed: Task | RecordedTask) -> "tuple[FloatArray, CubicSpline | None]":
-    """Return the true pitch (N,), rad, and its spline over the number of the sample."""
+    """Return the true pitch (N,), rad, and its spline over the sample number."""
     from scipy.interpolate import CubicSpline
 
     pitch = sagittal_pitch(true_motion(performed).q_nb)
@@ -238,7 +237,7 @@ def pitch_errors_deg(case: Case, calibrations: Sequence[Calibration | None], off
             record = correct_checked(case.record, calibration, policy="hold", threads=1, check=False).record
             remainder = fit_motion(record, rest_offset(record, case.still), calibration.gyro).offset
             rates = rates - remainder.at(record.time)
-        # the tilt of the rest holds at its end, and strapdown begins there
+        # the tilt of the rest applies at its end, where strapdown begins
         turns.append(integrate_strapdown(rates[start:], case.record.time[start:], shortest_rotation_up(upward)))
         rows.append(row)
     if rows:

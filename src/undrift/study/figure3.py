@@ -14,10 +14,10 @@ the two errors over the acquisition.
 
 The model of the study is a unit without some effects, and the actual device is the same unit with these effects::
 
-    hysteresis      offset differs between warming and cooling               as the kind of device has it
+    hysteresis      offset differs between warming and cooling               with the size of this kind of device
     thermometer     board thermometer lags behind the sensors                80 s, LM335 in still air
     adc_inl         integral non-linearity of the converter, a bow           2 LSB [assumed], gyroscopes and accelerometers
-    g_sensitivity   rate reading under specific force                        as the kind of device has it
+    g_sensitivity   rate reading under specific force                        with the size of this kind of device
 """
 
 from dataclasses import dataclass, replace
@@ -55,7 +55,7 @@ LEAST_LAG_S = 80.0  # LM335 in still air
 
 
 def actual_device(unit: DeviceModel, *, hidden: bool = True) -> DeviceModel:
-    """Return a unit with the effects that the study's model lacks, or without them: then it is the study's model."""
+    """Return a unit with the effects that the study's model lacks, or without them (the study's model)."""
     chains: dict[str, Any] = {}
     for name, chain in (("gyro", unit.gyro), ("accel", unit.accel)):
         chains[name] = replace(
@@ -75,7 +75,7 @@ FULL = COMPARED.index("all tables")
 ACQUISITION_S = 4.0
 WARMING_S = 600.0
 BENCH = BenchSettings(turn_rates=tuple(rate * RADIAN_PER_DEGREE for rate in range(15, 91, 15)), dwell_s=1.5)
-RATES = tuple(rate * RADIAN_PER_DEGREE for rate in (45, 90))  # two of the note's, both ways, at each of the set-points
+RATES = tuple(rate * RADIAN_PER_DEGREE for rate in (45, 90))  # two of the note's rates, in both directions
 THERMAL = ThermalSettings(bench=replace(BENCH, sample_rate_hz=50.0, turn_rates=RATES))
 OPTICS = OpticsSettings(gaps=0)
 
@@ -84,7 +84,7 @@ OPTICS = OpticsSettings(gaps=0)
 class Figure3:
     """Pitch error over the acquisition, N instants, for each of ``COMPARED``."""
 
-    time: FloatArray  # (N,), from the beginning of the acquisition, s
+    time: FloatArray  # (N,), time from the start of the acquisition, s
     reference_pitch: FloatArray  # (N,), pitch from the optics, deg
     simulated: FloatArray  # (5, N), pitch error of each level, deg
     actual: FloatArray  # (5, N), as above
@@ -123,10 +123,10 @@ def _largest(errors: FloatArray) -> FloatArray:
 
 
 def figure3(unit: DeviceModel | None = None, *, seed: int = 0, back: bool = False) -> Figure3:
-    """Make the note's Figure 3 with a unit, as the study models it and with the effects that this model lacks.
+    """Compute the note's Figure 3 for a unit as the study models it, and for the same unit with the effects that this model lacks.
 
-    Both devices are calibrated, worn in the same task that optics saw, and compared. Each has a generator for the sessions and one
-    for the trial.
+    Both devices are calibrated, worn in the same task, which is recorded with optics, and compared. Each has a generator for the
+    sessions and one for the trial.
     """
     unit, person = unit or preset("enc03j_3031"), np.random.default_rng([seed, 0])
     performed = draw_task("sit_to_stand", rng=person)
@@ -175,7 +175,7 @@ def calibrated(device: DeviceModel, *, rng: np.random.Generator, back: bool = Tr
 
 
 def worn_record(device: DeviceModel, performed: Task, *, rng: np.random.Generator) -> Record:
-    """Return the readings of a device in a task after half an hour on a person, at the temperature that it has reached."""
+    """Return the readings of a device in a task after half an hour on a person, at the temperature reached by then."""
     before = round(WORN_S * SAMPLE_RATE_HZ)
     moved = performed.at(np.arange(round(performed.duration_s * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ, STANDARD_GRAVITY)
     motion = after_rest(moved, np.arange(before, 0, -1) / SAMPLE_RATE_HZ)  # still until the task begins

@@ -1,13 +1,13 @@
 """Results of a study: the error of each session, the cheapest session that is good enough, and the causes of the error.
 
-A session is good enough for a target if 95 % of the devices that it calibrates stay below the target, each on a different person.
-The quantile is used, not the mean, because a user has a single device. The answer is the shortest session that is good enough. It
-is tested again with other devices on the other group of people.
+A session is good enough for a target if the errors of 95 % of the calibrated devices, each on a different person, are below the
+target. The quantile is used, not the mean, because a user has a single device. The answer is the shortest session that is good
+enough. It is tested again with other devices on the other group of people.
 
-Does the error depend on a parameter? Every subject meets each of k values: F = MS_condition / MS_error, with degrees of freedom
-(k - 1) and (n - 1)(k - 1) times Greenhouse and Geisser's epsilon (1959). p values of several parameters are adjusted after Holm
-(1979). With enough simulated people, any difference becomes significant. So each p is reported with the span of the means in
-degrees.
+To test if the error depends on a parameter, every subject is evaluated with each of k values: F = MS_condition / MS_error, with
+degrees of freedom (k - 1) and (n - 1)(k - 1) times Greenhouse and Geisser's epsilon (1959). p values of several parameters are
+adjusted after Holm (1979). With enough simulated people, any difference becomes significant. Therefore each p is reported with the
+span of the means in degrees.
 """
 
 from collections.abc import Sequence
@@ -38,12 +38,12 @@ class Anova:
     subjects: int
     f: float
     dof: tuple[float, float]  # not corrected
-    epsilon: float  # Greenhouse and Geisser's
+    epsilon: float  # epsilon of Greenhouse and Geisser
     p_value: float  # with the corrected degrees of freedom
 
 
 def repeated_measures_anova(errors: ArrayLike) -> Anova:
-    """Compare k conditions that each of n subjects met: errors (n, k)."""
+    """Compare k conditions with n subjects, all evaluated in each condition: errors (n, k)."""
     from scipy.linalg import helmert
     from scipy.special import fdtrc
 
@@ -58,7 +58,7 @@ def repeated_measures_anova(errors: ArrayLike) -> Anova:
     error = float(((y - condition_means - subject_means + grand) ** 2).sum())
     d1, d2 = float(k - 1), float((n - 1) * (k - 1))
     if error <= 1e-24 * max(float(((y - grand) ** 2).sum()), 1e-300):
-        raise InputError("anova: the subjects respond all alike. The differences between the conditions are exact.")
+        raise InputError("anova: all subjects respond alike. The differences between the conditions are exact.")
     f = (between / d1) / (error / d2)
     covariance = np.atleast_2d(np.cov(y @ helmert(k).T, rowvar=False))
     squares = float((covariance * covariance).sum())
@@ -87,12 +87,12 @@ class SessionErrors:
     session: CalibrationSession
     mean_deg: float
     interval_deg: tuple[float, float]  # 95 % interval of the mean
-    quantile_deg: float  # 95 % of devices stay below
+    quantile_deg: float  # error that 95 % of devices stay below
     # prediction interval of a further device, 95 % (or (n - 1) / (n + 1) with fewer than 39)
     single_deg: tuple[float, float]
-    real_time_deg: float  # mean error against the true pitch of now
-    failed: int  # devices that the session could not calibrate
-    # this session compared with the session of the smallest mean (None for the latter)
+    real_time_deg: float  # mean error relative to the current true pitch
+    failed: int  # number of devices that the session could not calibrate
+    # this session compared with the session that has the smallest mean (None for the latter)
     against_best: PairedDifference | None
 
 
@@ -102,7 +102,7 @@ class Answer:
 
     target_deg: float
     session: str  # empty if no session is good enough
-    below: int = 0  # devices of the other group that stayed below the target
+    below: int = 0  # number of devices of the other group with an error below the target
     tested: int = 0  # number of devices of the other group (0 for recorded people)
 
     @property
@@ -118,10 +118,10 @@ class ParameterEffect:
     parameter: Parameter
     values: tuple[float, ...]
     means_deg: tuple[float, ...]
-    own: float  # value around which the others were tried
+    own: float  # value around which the other values were tried
     anova: Anova | None  # None if the differences are exact
     p_holm: float  # adjusted over the parameters of the task, or NaN without an analysis
-    differences: tuple[PairedDifference, ...]  # each other value against the own one
+    differences: tuple[PairedDifference, ...]  # each other value compared with the default
 
     @property
     def verdict(self) -> str:
@@ -139,10 +139,10 @@ class TaskOutcome:
     """One task of a study."""
 
     task: StudyTask
-    sessions: tuple[SessionErrors, ...]  # by minutes
+    sessions: tuple[SessionErrors, ...]  # in order of duration
     answers: tuple[Answer, ...]
     effects: tuple[ParameterEffect, ...]
-    breakdown: tuple[tuple[str, float], ...] = ()  # mean square that an error causes, as a share of the whole
+    breakdown: tuple[tuple[str, float], ...] = ()  # mean square caused by each error, as a share of the total
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -156,7 +156,7 @@ class StudyOutcome:
     # first task: temperature rise (infinite: as in the study), offset rule, session, 95 % quantile in deg (NaN if a device fails)
     sensitivity: tuple[tuple[float, str, str, float], ...]
     runs: tuple[Run, ...]
-    methods: tuple[MethodRow, ...] = ()  # methods and rivals, for the note's preset
+    methods: tuple[MethodRow, ...] = ()  # methods of undrift and rivals, for the note's preset
 
 
 def errors_of(runs: Sequence[Run], task: str, session: str, timing: Timing, role: str = "session") -> FloatArray:
@@ -168,7 +168,7 @@ def errors_of(runs: Sequence[Run], task: str, session: str, timing: Timing, role
 
 
 def judge_sessions(study: Study, runs: Sequence[Run], task: StudyTask) -> tuple[SessionErrors, ...]:
-    """Return every session in a task, the shortest first."""
+    """Return every session in a task, starting with the shortest."""
     columns = {one.name: errors_of(runs, task.key, one.name, study.timing) for one in study.sessions}
     means = {name: float(np.nanmean(x)) if np.isfinite(x).any() else np.inf for name, x in columns.items()}
     best = min(means, key=lambda name: means[name])
@@ -178,7 +178,7 @@ def judge_sessions(study: Study, runs: Sequence[Run], task: StudyTask) -> tuple[
         valid, both = np.isfinite(errors), np.isfinite(errors) & np.isfinite(columns[best])
         mean, interval = mean_interval(errors[valid])
         nan = float("nan")
-        # the k-th of n errors is the quantile k / (n + 1) of a further device, so few devices cannot reach 95 %
+        # the k-th of n errors is the quantile k / (n + 1) for a further device, so a few devices cannot reach 95 %
         ends = (*ENDS, QUANTILE)
         low, high, quantile = np.quantile(errors[valid], ends, method="weibull").tolist() if valid.any() else (nan,) * 3
         decision = None
@@ -189,7 +189,7 @@ def judge_sessions(study: Study, runs: Sequence[Run], task: StudyTask) -> tuple[
         rows.append(
             SessionErrors(
                 session=session, mean_deg=mean, interval_deg=interval, single_deg=(low, high), failed=int((~valid).sum()),
-                quantile_deg=quantile if valid.all() else float("inf"),  # a device that fails is not below the target
+                quantile_deg=quantile if valid.all() else float("inf"),  # a failed device is not below the target
                 real_time_deg=float(np.nanmean(now)) if np.isfinite(now).any() else nan, against_best=decision,
             )
         )  # fmt: skip
@@ -260,7 +260,7 @@ def chosen_sessions(outcome: StudyOutcome) -> tuple[tuple[str, str], ...]:
 
 
 def judge(study: Study, runs: Sequence[Run]) -> StudyOutcome:
-    """Evaluate the runs. The answers are not yet tested on the other group."""
+    """Evaluate the runs, without the test of the answers on the other group."""
     tasks = []
     for task in study.tasks:
         rows = judge_sessions(study, runs, task)

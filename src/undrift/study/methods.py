@@ -1,12 +1,12 @@
-"""The methods that undrift offers and the note's rivals, on the same devices and trials.
+"""Compare the methods of undrift and the note's rivals on the same devices and trials.
 
-The rivals have short motions, one assumed instrument error each, and the fits of undrift::
+The rivals use short motions, one assumed instrument error each, and the fits of undrift::
 
     data sheet        no recording, but nominal sensitivities and zero-rate outputs
     inclined plane    stills at nominal angles about each axis, and a least-squares fit of the accelerometers to the nominal force
     trolley, piston   a sinusoid with nominal frequency and stroke along each axis, and the same fit of the accelerometers
     optics            a minute of turns by hand and six rests in front of optics, and a fit to the references
-    robot arm         the same with an arm whose poses are known
+    robot arm         as with optics, with an arm whose poses are known
 
 If a rival can calibrate only one triad, the other triad uses the data sheet and the offset of a rest. The error of the tilt depends
 only on the accelerometers. According to the note, a static calibration is as good as a dynamic one.
@@ -60,7 +60,7 @@ POSES = {
 RATE_HZ = 100.0
 STILL_S = 2.0
 SINUSOID_S = 10.0
-BLOCK, BLOCK_AT_REST = 10, 100  # samples that are averaged
+BLOCK, BLOCK_AT_REST = 10, 100  # number of samples that are averaged
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,14 +70,14 @@ class MethodRow:
     method: str
     minutes: float
     instruments: str
-    triads: str  # triads that it calibrates
+    triads: str  # triads that the method calibrates
     error_deg: tuple[float, ...]  # mean rms error of the pitch in each task
     interval_deg: tuple[tuple[float, float], ...]  # 95 %
     tilt_deg: float  # rms error of the tilt at rest from the accelerometers, over 26 directions
-    failed: int  # devices that it could not calibrate
+    failed: int  # number of devices that the method could not calibrate
 
 
-# ---- motions of the rivals: the true and the stated specific force in the frame of the case
+# ---- motions of the rivals: true and nominal specific force in the frame of the case
 
 
 def _known_forces(rival: Rival, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
@@ -152,7 +152,7 @@ def _data_sheet(device: DeviceModel, kind: str, rest: Record | None = None) -> C
 def _by_poses(
     rival: Literal["optics", "robot arm"], device: DeviceModel, streams: Callable[[str], np.random.Generator]
 ) -> Calibration:
-    """Turn the device for a minute in front of the reference and let it rest on six sides, twice, and fit it to the poses."""
+    """Record a minute of turns and rests on six sides with the reference, twice, and fit the device to the poses."""
     records, references = list[Record](), list[Reference]()
     for turn in ("first", "second"):
         performed, record = free_motion(device, streams, f"{rival} {turn}", six_rests=True)
@@ -173,7 +173,7 @@ def _by_poses(
 def calibrate_rival(
     rival: Rival, device: DeviceModel, kind: str, streams: Callable[[str], np.random.Generator]
 ) -> Calibration:
-    """Calibrate a device by one of the note's rivals."""
+    """Calibrate a device with one of the note's rivals."""
     if rival == "data sheet":
         return _data_sheet(device, kind)
     if rival in ("optics", "robot arm"):
@@ -182,7 +182,7 @@ def calibrate_rival(
 
 
 def fit_rival(rival: Rival, device: StudyDevice) -> Calibration | None:
-    """Calibrate a device of a study by a rival. Return None if it cannot."""
+    """Calibrate a device of a study with a rival method. Return None if the method cannot calibrate the device."""
     streams = partial(stream, device.study.seed, device.study.group, "method", device.number)
     with suppress(CalibrationError, AlignmentError):
         return calibrate_rival(rival, device.worn, device.study.device, streams)
@@ -190,7 +190,7 @@ def fit_rival(rival: Rival, device: StudyDevice) -> Calibration | None:
 
 
 def _one_device(study: Study, number: int) -> list[tuple[list[float], float]]:
-    """Return the errors of each method in the tasks and of the tilt, deg, NaN if it could not calibrate the device."""
+    """Return the errors of each method in the tasks and in the tilt, deg, or NaN if the method could not calibrate the device."""
     device = StudyDevice(study, number)
     truth = true_calibration(device.worn, temp_c=ROOM_TEMP_C).accel
     own = [device.calibration(SESSIONS[method]) for method in OWN]
@@ -205,7 +205,7 @@ DIRECTIONS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)]
 
 
 def _tilt_deg(model: TriadModel | None, truth: TriadModel | None) -> float:
-    """Return the rms angle between true and measured gravity over its directions, deg."""
+    """Return the rms angle between true and measured gravity over all directions, deg."""
     if model is None or truth is None:
         return float("nan")
     up = DIRECTIONS / np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
@@ -216,7 +216,7 @@ def _tilt_deg(model: TriadModel | None, truth: TriadModel | None) -> float:
 
 
 def compare_methods(study: Study, spread: Callable[..., Iterator[Any]] = map, units: int = 12) -> tuple[MethodRow, ...]:
-    """Calibrate the same devices by every method, and compare them in the same trials."""
+    """Calibrate the same devices with every method, and compare the methods in the same trials."""
     devices = list(spread(partial(_one_device, study), range(units)))
     rows = []
     for place, method in enumerate((*OWN, *RIVALS)):

@@ -5,7 +5,7 @@
     [[session]]        a custom session with a protocol.toml
     [category.NAME]    a custom category of people
 
-The page "Keys" of the site has every key with its default.
+The page "Keys" of the documentation lists every key with its default.
 """
 
 import json
@@ -34,8 +34,8 @@ from undrift.units import RADIAN_PER_DEGREE
 
 Values = tuple[float, ...]
 Timing = Literal["aligned", "real time"]
-DEVICE = "enc03j_3031"  # the note's
-MARGIN_DEG = 0.087  # 0.15 deg at most, as simulated and actual device differ in the note's Figure 3, of an error that grows evenly
+DEVICE = "enc03j_3031"  # device of the note
+MARGIN_DEG = 0.087  # rms of an error that grows evenly to 0.15 deg, the difference in the note's Figure 3
 SUBJECTS = 30
 COUNT_S = 0.1  # longest time between two counts of the encoder at a rate that a table can impose
 
@@ -43,9 +43,9 @@ COUNT_S = 0.1  # longest time between two counts of the encoder at a rate that a
 class BenchTable(FileTable):
     """Standard deviations of the errors of a bench. Encoder and servo are from the note, other values are assumed."""
 
-    face_tilt_deg: NonNegativeFloat = 0.1  # tilt of each face, about each axis: a squared block on a plate
+    face_tilt_deg: NonNegativeFloat = 0.1  # tilt of each face about each axis: a squared block on a plate
     mount_tilt_deg: NonNegativeFloat = (
-        0.1  # device against the table's axis, about each axis, for each mounting: the same block
+        0.1  # tilt of the device relative to the table's axis, about each axis, for each mounting: the same block
     )
     level_deg: NonNegativeFloat = (
         0.05  # tilt of the table's axis from the vertical, about each horizontal axis: a bubble level
@@ -55,7 +55,7 @@ class BenchTable(FileTable):
     table_rate_percent: NonNegativeFloat = (
         0.01  # error of all rates: crystals of a controller and a computer differ by 50 to 100 ppm
     )
-    servo_deg: NonNegativeFloat = 0.012  # error of the angle turned in a dwell: the largest in the note
+    servo_deg: NonNegativeFloat = 0.012  # error of the angle turned in a dwell: the largest error in the note
     encoder_lines: Annotated[int, Ge(0)] = (
         10_000  # lines of the encoder, four counts each, as in the note (0: rates without steps)
     )
@@ -107,7 +107,7 @@ class NoteNumbers:
 @stored()
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TryEntry:
-    """[task.tried]: values of the note's four numbers. The others are tried one at a time around the first value of each list."""
+    """[task.tried]: values of the note's four numbers. Other values are tried one at a time around the first value of each list."""
 
     cutoff_hz: Annotated[tuple[PositiveFloat, ...], MinLen(1)] = (11.1,)
     turn_rate_step_dps: Annotated[tuple[PositiveFloat, ...], MinLen(1)] = (5.0,)
@@ -116,7 +116,7 @@ class TryEntry:
 
     @property
     def around(self) -> NoteNumbers:
-        """First value of each list."""
+        """Return the first value of each list."""
         return NoteNumbers(**{name: getattr(self, name)[0] for name in PARAMETERS})
 
 
@@ -126,12 +126,12 @@ class StudyTask:
 
     name: str  # sit_to_stand, step, posturography or free (any word for recorded people)
     category: str = DEFAULT  # category of the people who perform the task
-    motion: RecordedPeople | None = None  # recorded people in place of the library's task
+    motion: RecordedPeople | None = None  # recorded people instead of the library's task
     tried: TryEntry | None = None  # values of the note's numbers
 
     @property
     def key(self) -> str:
-        """Name of the task and its category, good for a file."""
+        """Return the name of the task and its category, suitable as a file name."""
         return self.name if self.category == DEFAULT else f"{self.name}-{self.category}"
 
     def __post_init__(self) -> None:
@@ -139,7 +139,7 @@ class StudyTask:
             raise InputError(f"task: the name must have letters, digits and _ only, got '{self.name}'. Rename it.")
         if self.motion is None and self.name not in get_args(TaskName):
             names = ", ".join(get_args(TaskName))
-            raise InputError(f"task: expected one of {names}, got '{self.name}'. Name one, or add [task.motion].")
+            raise InputError(f"task: expected one of {names}, got '{self.name}'. Choose one, or add [task.motion].")
         for numbers in self.variations():  # refuses a step that does not divide the span
             numbers[2].session()
 
@@ -158,19 +158,19 @@ class Frame:
     """Settings for all tasks of a study."""
 
     name: str = ""
-    device: str = DEVICE  # a preset, of which every subject wears a unit of its own, or the path of a device.json
-    subjects: Annotated[int, Ge(3)] = SUBJECTS  # least number of people
-    # people are added up to here until the mean errors are known to margin / 4
+    device: str = DEVICE  # a preset, of which every subject wears a different unit, or the path of a device.json
+    subjects: Annotated[int, Ge(3)] = SUBJECTS  # smallest number of people
+    # largest number of people; people are added until the mean errors are known to margin / 4
     subjects_max: Annotated[int, Ge(3)] = SUBJECTS
     group: Group = "simulation"  # simulation or testing, as in the note's Table 2
-    # board temperature of the trials above the room, least and greatest, K
+    # board temperature of the trials above room temperature, smallest and largest, K
     excursion_k: tuple[float, float] = (10.0, 15.0)
     seed: Annotated[int, Ge(0)] = 0
     offset: OffsetRule = "rest"  # offset that is subtracted in a trial (none in the note)
-    timing: Timing = "aligned"  # compared with the true pitch of the readings' instant, or of now
-    fit: Fit = "product"  # paper: the note's matrix and not-a-knot splines
+    timing: Timing = "aligned"  # compare with the true pitch at the time of the readings, or with the current one
+    fit: Fit = "product"  # mode of the fits ("paper": the note's matrix and not-a-knot splines)
     margin_deg: PositiveFloat = MARGIN_DEG  # smallest difference that matters
-    target_deg: tuple[PositiveFloat, ...] = (0.5, 1.0, 2.0)  # errors that are good enough
+    target_deg: tuple[PositiveFloat, ...] = (0.5, 1.0, 2.0)  # target errors that are good enough
     bench: BenchTable = NOTE_BENCH
 
 
@@ -181,8 +181,8 @@ class Study(Frame):
     tasks: tuple[StudyTask, ...]
     sessions: tuple[CalibrationSession, ...] = tuple(SESSIONS.values())
     worn: str = ""  # text of a device.json for all subjects (empty: random units of ``device``)
-    lab: tuple[tuple[str, Category], ...] = ()  # categories of a laboratory's own, by name
-    shipped: bool = False  # uses the shipped fits, after ``with_checked_fits``
+    lab: tuple[tuple[str, Category], ...] = ()  # categories defined by a laboratory, by name
+    shipped: bool = False  # True if the shipped fits are used, after ``with_checked_fits``
 
     def __post_init__(self) -> None:
         keys = [task.key for task in self.tasks]
@@ -196,9 +196,9 @@ class Study(Frame):
         if unknown:
             raise InputError(f"categories: expected some of {', '.join(categories)}, got '{unknown[0]}'.")
         if not names or len(set(names)) < len(names):
-            raise InputError(f"study: expected one or more sessions, each once, got {', '.join(names) or 'none'}.")
+            raise InputError(f"study: expected one or more different sessions, got {', '.join(names) or 'none'}.")
         if not self.excursion_k[0] <= self.excursion_k[1]:
-            raise InputError(f"study: excursion_k must be least and greatest, got {self.excursion_k}.")
+            raise InputError(f"study: excursion_k must be the smallest and the largest value, got {self.excursion_k}.")
         tried = (numbers.session() for task in self.tasks for *_, numbers in task.variations())
         for session in (*self.sessions, *tried):
             if session.protocol is not None:
@@ -230,7 +230,7 @@ class Study(Frame):
         return device_from_json(json.loads(self.worn)) if self.worn else preset(self.device)
 
     def kind(self, category: str) -> Kind:
-        """Return a category by its name, or the numbers of a laboratory's own."""
+        """Return a category by name: predefined, or defined by a laboratory."""
         return dict(self.lab).get(category) or category  # type: ignore[return-value]
 
     def other(self) -> "Study":
@@ -281,9 +281,9 @@ def _row(cutoff: float, step: Values, low: Values, high: Values, p: float, errat
     return NoteRow(tried, p, erratum)
 
 
-# Cut-off, steps, omega_m and omega_M, each with the value of the note first, and p. Each step divides the span. Less than a count
-# in 0.1 s, 0.09 deg/s, cannot be imposed, so the posturography has no smaller rates than the note's.
-ERRATUM = "It prints 111.4 Hz, read here as 11.4 Hz: between the other two."
+# Cut-off, steps, omega_m and omega_M, each with the value of the note first, and p. Each step divides the span. Rates below one
+# count in 0.1 s (0.09 deg/s) cannot be imposed, so posturography has no smaller rates than in the note.
+ERRATUM = "The note prints 111.4 Hz. This is read as 11.4 Hz, which is between the other two values."
 TABLE_1: dict[TaskName, NoteRow] = {
     "sit_to_stand": _row(11.1, (5.0, 2.5, 17.0), (5.0, 10.0, 20.0), (90.0, 50.0, 110.0), 0.048),
     "step": _row(11.4, (3.0, 1.5, 14.0), (3.0, 6.0, 12.0), (45.0, 24.0, 57.0), 0.040, ERRATUM),
@@ -292,7 +292,7 @@ TABLE_1: dict[TaskName, NoteRow] = {
 
 
 def note_study() -> Study:
-    """Return the note's study: its three tasks, its fits, its rates tried one at a time."""
+    """Return the note's study: its three tasks and fits, with its rates tried one at a time."""
     return Study(
         name="note", tasks=tuple(StudyTask(name=name, tried=row.tried) for name, row in TABLE_1.items()), fit="paper"
     )
@@ -306,7 +306,7 @@ class TaskEntry(FileTable):
 
     name: str  # name of the task
     category: str = ""  # category of its people, instead of the category in [study]
-    motion: MotionEntry | None = None  # in place of a drawn performance
+    motion: MotionEntry | None = None  # recorded motion instead of a drawn performance
     tried: TryEntry | None = None  # values of the note's numbers
 
 
@@ -322,7 +322,7 @@ class SessionEntry(FileTable):
 class StudyEntry(Frame):
     """[study]."""
 
-    # of the people: level_1 to level_4 (2 is the note's), young, elderly, impaired, parkinson, or one of [category.NAME]
+    # category of the people: level_1 to level_4 (level_2 is the note's), young, elderly, impaired, parkinson, or a [category.NAME]
     categories: tuple[str, ...] = (DEFAULT,)
     sessions: tuple[str, ...] = tuple(SESSIONS)  # names of sessions to try
 

@@ -1,4 +1,4 @@
-"""Recorded people as a task of a study: poses of a device at L5 or on another segment, initial rest, and people in a table.
+"""Recorded people as a task of a study: poses of a device at L5 or on another segment, an initial rest, and a table of people.
 
 A recorded motion must begin at rest. The body is at rest until one of three quantities exceeds its limit, with rates and
 accelerations as means over 0.25 s::
@@ -34,9 +34,9 @@ class Posed:
     """Settings to obtain the poses of a device from a file of poses or markers."""
 
     markers: tuple[str, ...] = ()  # labels of a rigid cluster, for TRC or C3D
-    # Or the segment that the device is worn on, found by its markers: pelvis (the device sits at L5) or trunk
+    # or segment on which the device is worn, located by its markers: pelvis (device at L5) or trunk
     body: BodyName | None = None
-    up: Literal["y", "z"] | None = None  # Laboratory axis that points up, for markers
+    up: Literal["y", "z"] | None = None  # laboratory axis that points up, for markers
     rest_s: PositiveFloat | None = None  # rest at the start, s (by default it is detected, at most 6 s)
     hold: bool = False  # hold the first pose for ``rest_s`` if a recording has no rest
 
@@ -50,9 +50,9 @@ class OwnMotion(Posed):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordedPeople:
-    """Recorded motions of several people, each with another unit of the device, or of one person with all units."""
+    """Recorded motions of several people, each with a different unit of the device, or of one person with all units."""
 
-    trials: tuple[tuple[OwnMotion, ...], ...]  # trials of each person
+    trials: tuple[tuple[OwnMotion, ...], ...]  # motions of each person
 
     def of(self, number: int) -> tuple[OwnMotion, ...]:
         """Return the trials of a subject."""
@@ -74,7 +74,7 @@ SKIN = PoseSettings(cutoff_hz=10.0, position_cutoff_hz=6.0)
 
 
 def find_rest(spline: PoseSpline) -> BoolArray:
-    """Return for each sample whether the body was at rest from the first pose to it, (N,)."""
+    """Return True for each sample if the body was at rest from the first pose to this sample, (N,)."""
     start, stop = spline.span_s
     time = start + np.arange(int((stop - start) * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
     motion = spline.at(time, STANDARD_GRAVITY)
@@ -106,13 +106,13 @@ def check_rest(is_still: BoolArray, rest_s: float, path: Path) -> None:
     raise InputError(
         f"{path}: the body must be at rest for the first rest_s = {rest_s:g} s: at most "
         f"{MOST_TURN_RATE / RADIAN_PER_DEGREE:g} deg/s, {MOST_ACCELERATION:g} m/s2, and an error of the initial tilt of "
-        f"{MOST_TILT_ERROR / RADIAN_PER_DEGREE:g} deg. The body is still for {still_s:g} s. To continue, {todo}.",
+        f"{MOST_TILT_ERROR / RADIAN_PER_DEGREE:g} deg. The body is still for only {still_s:g} s. To continue, {todo}.",
         still_s=still_s,
     )
 
 
 def _windowed(values: FloatArray) -> FloatArray:
-    """Return the length of the mean over the window that ends at each sample, 0 before the first whole window."""
+    """Return the length of the mean over the window that ends at each sample, or 0 before the first whole window."""
     width = round(WINDOW_S * SAMPLE_RATE_HZ)
     sizes = np.linalg.norm(window_sums(values, width) / width, axis=1)
     return np.concatenate((np.zeros(len(values) - len(sizes)), sizes))
@@ -124,7 +124,7 @@ class RecordedTask:
 
     spline: PoseSpline  # poses
     moving_s: tuple[float, float]  # first and last instant of motion, s from the start
-    held_s: float = 0.0  # duration of a rest in the first pose that is put before the recording, s
+    held_s: float = 0.0  # duration of a rest in the first pose that is added before the recording, s
 
     @property
     def duration_s(self) -> float:
@@ -151,7 +151,7 @@ class RecordedTask:
 
 @lru_cache(maxsize=4)
 def read_motion(motion: OwnMotion) -> RecordedTask:
-    """Read a recorded motion. Raise InputError if it does not begin with its rest."""
+    """Read a recorded motion. Raise InputError if it does not begin with a rest."""
     path = Path(motion.path)
     reference = read_poses(path, motion)
     spline = fit_pose_spline(reference, SKIN if motion.body else PoseSettings())
@@ -163,7 +163,7 @@ def read_motion(motion: OwnMotion) -> RecordedTask:
     if reference.position is None:
         problem = "the poses have no positions, which the simulation of accelerometers requires"
     elif len(spline.pieces) > 1:
-        problem = f"the poses have {len(spline.pieces) - 1} long gaps. Cut the recording between gaps"
+        problem = f"the poses have {len(spline.pieces) - 1} long gaps. Cut the recording at the gaps"
     elif motion.hold and rest_s < LEAST_REST_S:
         problem = f"to hold the first pose, rest_s must be {LEAST_REST_S:g} s or more, got {rest_s:g}. The note uses 6"
     elif not motion.hold and not LEAST_REST_S <= rest_s < length - 1.0:
@@ -183,7 +183,7 @@ def read_poses(path: Path, how: Posed) -> Reference:
         return read_reference(path, labels=how.markers or None, up=how.up)
     if how.markers or how.up is None:
         raise InputError(
-            f"{path}: a body requires up and no markers, got {'markers too' if how.markers else 'no up'}. Set body and up."
+            f"{path}: a body requires `up` and no markers, got {'markers' if how.markers else 'no `up`'}. Set body and up."
         )
     offset = L5_OFFSET if how.body == "pelvis" else (0.0, 0.0, 0.0)
     return device_on(find_body(read_markers(path, up=how.up), how.body), offset_b=offset)

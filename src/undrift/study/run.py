@@ -1,7 +1,7 @@
 """Run a study: each device is calibrated once with every session and worn in every task, in batches of devices and people.
 
     Session x device -> calibration        shared by all tasks and categories
-    Task x person    -> trial              the person of a device's own number
+    Task x person    -> trial              person with the number of the device
     both             -> errors of the pitch, one ``Run`` each
 
 The unit of work is a device with its own seed, so the numbers do not depend on the executor or the number of workers.
@@ -50,7 +50,7 @@ from undrift.study.shipped import agree, device_text, key_of, pack, shipped_fits
 from undrift.validation.agreement import mean_interval
 
 CHECKED = SESSIONS["note"]  # the only session that determines tables of all three kinds
-BATCH = 10  # devices between two looks at the intervals
+BATCH = 10  # number of devices between two checks of the intervals
 SENSITIVITY_K = (0.0, 5.0, 20.0)  # additional temperature rises for the sensitivity, K
 
 # ---- one device
@@ -58,7 +58,7 @@ SENSITIVITY_K = (0.0, 5.0, 20.0)  # additional temperature rises for the sensiti
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Run:
-    """Errors of a device and a person in a task with a calibration."""
+    """Errors of one device, worn by one person in a task, with one calibration."""
 
     task: str
     subject: int
@@ -68,7 +68,7 @@ class Run:
     offset: OffsetRule
     role: str  # "session", "try", "sensitivity", or the effect that is switched off
     rms_deg: float  # NaN if the session could not calibrate the device
-    real_time_deg: float  # rms against the true pitch of now
+    real_time_deg: float  # rms error relative to the current true pitch
     largest_deg: float
 
 
@@ -92,7 +92,7 @@ def _people(seed: int, group: Group, kind: Kind, number: int) -> tuple[Subject, 
 
 
 class StudyDevice:
-    """One device with its calibrations and trials, each made once."""
+    """One device with its calibrations and trials, each computed once."""
 
     def __init__(self, study: Study, number: int, without: EffectName | None = None) -> None:
         self.study, self.number = study, number
@@ -119,7 +119,7 @@ class StudyDevice:
         return self.recall(session, partial(self.fit, session))
 
     def recall(self, session: CalibrationSession | str, fit: Callable[[], Calibration | None]) -> Calibration | None:
-        """Return the shipped fit of a session, or of a rival by its name. Without one, make the fit once."""
+        """Return the shipped fit of a session, or of a rival by its name. Without a shipped fit, compute the fit once."""
         name = session if isinstance(session, str) else session.name
         if name not in self._calibrations:
             shipped = shipped_fits().get(self.key(session)) if self.study.shipped else None
@@ -204,13 +204,13 @@ def run_device(study: Study, number: int) -> list[Run]:
 
 
 def run_effects(study: Study, chosen: tuple[tuple[str, str], ...], number: int) -> list[Run]:
-    """Run one device again with one kind of error, or all assumed ones, switched off, for chosen pairs of task and session."""
+    """Run one device again with one kind of error, or all assumed errors, switched off, for chosen pairs of task and session."""
     effects = [effect for effect in EFFECTS if not (study.worn and effect == ASSUMED)]
     return [run for effect in effects for run in _chosen(StudyDevice(study, number, effect), chosen, effect)]
 
 
 def run_chosen(study: Study, chosen: tuple[tuple[str, str], ...], number: int) -> list[Run]:
-    """Run one device of the other group by chosen sessions only."""
+    """Run one device of the other group with chosen sessions only."""
     return [*_chosen(StudyDevice(study, number), chosen, "testing")]
 
 
@@ -222,14 +222,14 @@ def _chosen(device: StudyDevice, chosen: tuple[tuple[str, str], ...], role: str)
 
 
 def agrees(study: Study, session: CalibrationSession) -> bool:
-    """Return True if the shipped fit of a session with device 0 is the one that this code makes, or if there is none."""
+    """Return True if the shipped fit of a session with device 0 equals the fit of this code, or if there is none."""
     device = StudyDevice(study, 0)
     shipped = shipped_fits().get(device.key(session))
     return shipped is None or agree(pack(device.fit(session)), shipped)
 
 
 def with_checked_fits(study: Study, spread: Callable[..., Iterator[Any]]) -> Study:
-    """Return the study with its rule for shipped fits: used if one of device 0 is the one that this code makes."""
+    """Return the study with its choice of shipped fits. They are used if one for device 0 equals the fit of this code."""
     usable = study.offset != "motion" and bool(shipped_fits())
     return replace(study, shipped=usable and all(spread(partial(agrees, study), [CHECKED])))
 
@@ -247,7 +247,7 @@ def run_study(
         len(task.motion.trials) for task in study.tasks if task.motion is not None and len(task.motion.trials) > 1
     ]
     most = max(study.subjects_max, study.subjects)
-    if people:  # no person counts twice
+    if people:  # each person counts only once
         wanted, most = min(wanted, *people), min(most, *people)
     while done < wanted:
         for batch in spread(partial(run_device, study), range(done, wanted)):

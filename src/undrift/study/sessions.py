@@ -4,11 +4,11 @@
     hand           six faces, three turns of 360 deg by hand                             calibrate
     free poses     24 poses by hand, with the moves between them                         calibrate
     motion         two minutes of motion by hand                                         calibrate_from_motion
-    table          six faces, steady rates both ways about three axes                    calibrate
-    chamber        table, then a rest and rates at each set-point                        calibrate, fit_drift
+    table          six faces, steady rates in both directions about three axes                    calibrate
+    chamber        as table, then a rest and rates at each set-point                        calibrate, fit_drift
 
 A session is simulated sample by sample, and fitted in the same way as ``undrift calibrate`` and ``undrift drift`` fit a recorded
-session. The fit receives readings and the notes of an operator, nothing else. The many sessions in which the note's numbers are
+session. The fit receives only readings and the notes of an operator. The many sessions in which the note's numbers are
 varied are simulated as means of dwells.
 """
 
@@ -57,14 +57,14 @@ from undrift.sim.thermal import ThermalSettings, simulate_thermal_session
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical
 
 ROOM_TEMP_C = 25.0
-WARM_C = 12.5  # worn temperature above the room, K: between the note's 10 and 15
-SETTLED_S = 3600.0  # the device has been on for an hour
-SAMPLE_RATE_HZ = 50.0  # sample rate of a session: the fits average over seconds
-HAND_AXIS = 2.0 * RADIAN_PER_DEGREE  # [assumed] axis of a turn by hand, each direction across it
-HAND_FACE = 0.5 * RADIAN_PER_DEGREE  # [assumed] face of a case on a table
+WARM_C = 12.5  # temperature rise of a worn device above room temperature, K: between the note's 10 and 15
+SETTLED_S = 3600.0  # time since power-on: an hour
+SAMPLE_RATE_HZ = 50.0  # sample rate of a session, sufficient because the fits average over seconds
+HAND_AXIS = 2.0 * RADIAN_PER_DEGREE  # [assumed] tilt of the axis of a turn by hand, about each perpendicular axis
+HAND_FACE = 0.5 * RADIAN_PER_DEGREE  # [assumed] tilt of the face of a case on a table
 MOTION_RECORDINGS = 4  # number of recordings, half a minute each
 MOTION_RATE_HZ = 100.0
-KEY_STEP = 1e-9  # rad/s: rates nearer than this are one
+KEY_STEP = 1e-9  # rad/s: rates closer than this are equal
 
 Kind = Literal["hand", "poses", "motion", "table"]
 Fit = Literal["product", "paper"]
@@ -72,13 +72,13 @@ Fit = Literal["product", "paper"]
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrationSession:
-    """A calibration session by its name."""
+    """A named calibration session."""
 
     name: str
     kind: Kind
-    warm: bool = False  # at the temperature at which the device is worn, in place of the room's
+    warm: bool = False  # True if recorded at the temperature of a worn device instead of room temperature
     protocol: Protocol | None = None  # protocol of a rate table
-    by_means: bool = False  # simulated as means of dwells, which is faster
+    by_means: bool = False  # True if simulated as means of dwells, which is faster
 
     @cached_property
     def length_min(self) -> float:
@@ -113,7 +113,7 @@ class CalibrationSession:
         return ", ".join(needs[-1:] if self.warm else needs) or "none"
 
     def commands(self, stem: str) -> tuple[str, ...]:
-        """Return the commands that record and fit the session. ``stem`` is the start of its file names."""
+        """Return the commands that record and fit the session. File names start with ``stem``."""
         if self.protocol is not None:
             chamber = bool(self.protocol.temperatures_c)
             run = (
@@ -128,12 +128,12 @@ class CalibrationSession:
         return (f"undrift calibrate {stem}{files}{how} --gravity-m-s2 GRAVITY -o {stem}.json",)
 
 
-WARMING_MIN = 30.0  # to warm the device on a person, min
+WARMING_MIN = 30.0  # time for a device to warm up on a person, min
 
 
 def table_protocol(name: str, step_dps: float, min_dps: float, max_dps: float) -> Protocol:
     """Return a rate-table protocol from the note's numbers, deg/s. Its grid omits omega_m, as in the note's count."""
-    rate_grid(min_dps, max_dps, step_dps)  # an InputError, in place of pydantic's
+    rate_grid(min_dps, max_dps, step_dps)  # an InputError instead of a pydantic error
     rates = RatesTable(
         turn_rate_min_dps=min_dps, turn_rate_max_dps=max_dps, turn_rate_step_dps=step_dps, grid="paper", seconds=2.0
     )
@@ -177,8 +177,8 @@ def calibrate_by(
 ) -> Calibration:
     """Record a session with a simulated device and fit it. A session without soaks has no tables over temperature.
 
-    ``streams`` returns the generator of a name, and ``before_soaks`` is the fit of the part at one temperature if it was made
-    already. Raises CalibrationError if the session cannot calibrate the device.
+    ``streams`` returns the generator for a name. ``before_soaks`` is the fit of the part at one temperature, if it already exists.
+    Raises CalibrationError if the session cannot calibrate the device.
     """
     calibration = before_soaks or calibrate_before_soaks(session, device, errors=errors, streams=streams, fit=fit)
     protocol = session.protocol
@@ -225,7 +225,7 @@ def _bench(session: CalibrationSession, errors: BenchErrors) -> BenchSettings:
     )
 
 
-# ---- a rate table by means of its dwells: many sessions at once
+# ---- a rate table, simulated as means of its dwells: many sessions at once
 
 
 def calibrate_by_means(
@@ -273,7 +273,7 @@ def paper_model(means: DwellMeans) -> TriadModel:
 
 
 def bare_model(sensor: Sensor, unit: str, matrix: FloatArray, offset: FloatArray) -> TriadModel:
-    """Return a model of its values only: it has no uncertainty."""
+    """Return a model that contains only values, without uncertainties."""
     return TriadModel(
         method="study", unit_in=unit, unit_out="rad/s" if sensor == "gyro" else "m/s2", matrix=matrix, offset=offset,
         covariance=np.zeros((12, 12)), rms_residual=np.nan, count=0, rank=12, condition=np.nan, valid_range=(np.nan, np.nan),
@@ -286,7 +286,7 @@ PACES = (1.0, 0.7, 0.5, 0.35, 0.25)
 def free_motion(
     device: DeviceModel, streams: Streams, name: str, temp_c: float = ROOM_TEMP_C, *, six_rests: bool = False
 ) -> tuple[Task, Record]:
-    """Return a minute of turns about all axes and its readings, at the first of ``PACES`` that stays within the range.
+    """Return a minute of turns about all axes and its readings, at the first of ``PACES`` for which the readings stay within range.
 
     Then the device rests on each of its six sides if ``six_rests`` is set.
     """

@@ -3,10 +3,10 @@
     key       hash of all that a fit depends on: device, session, errors of the bench, mode of the fit, seed, group, number
     arrays    matrices, offsets and tables over temperature: rounding step, then second differences of the rounded values
 
-The rule: a fit is used if its key agrees, and if one session of device 0 agrees, which every study fits again with the code that
-runs. If it differs, the file is stale, and the study makes all its fits. A test compares all sessions of device 0.
-``python -m benchmarks.ship_fits`` makes the file. The fits have no uncertainties, so a study that finds the offset in motion makes
-its own.
+A fit is used if its key agrees, and if one session of device 0 agrees. Every study fits this session again with the current code.
+If the result differs, the file is outdated, and the study computes all fits itself. A test compares all sessions of device 0.
+``python -m benchmarks.ship_fits`` makes the file. The fits have no uncertainties, so a study that determines the offset from motion
+computes its own fits.
 """
 
 import hashlib
@@ -26,9 +26,9 @@ from undrift.study.sessions import CalibrationSession, bare_model
 from undrift.units import STANDARD_GRAVITY
 
 FILE = Path(__file__).with_name("fits.parquet")
-AGREES = 1e-3  # tolerance relative to the largest value: rounding on another processor gives less
+AGREES = 1e-3  # tolerance relative to the largest value: rounding on another processor causes smaller differences
 
-Fit = dict[str, FloatArray]  # arrays by their names, none if the session could not calibrate the device
+Fit = dict[str, FloatArray]  # arrays by name, empty if the session could not calibrate the device
 
 # shape of each array, and its rounding relative to its largest value
 ARRAYS: dict[str, tuple[tuple[int, ...], float]] = {
@@ -60,7 +60,7 @@ def device_text(device: DeviceModel) -> str:
 
 
 def key_of(device: str, session: CalibrationSession | str, *words: Any) -> int:
-    """Return the hash of a device, a session or rival, and all else that a fit depends on."""
+    """Return the hash of a device, a session or rival, and everything else on which a fit depends."""
     if isinstance(session, CalibrationSession):
         session = replace(session, name="", protocol=session.protocol and session.protocol.named(""))
     return int.from_bytes(hashlib.blake2b(repr((device, session, words)).encode(), digest_size=8).digest(), "big")
@@ -121,7 +121,7 @@ def agree(fitted: Fit | None, shipped: Fit) -> bool:
 
 
 class ShippedFits(Mapping[int, Fit]):
-    """Fits of the file by their key. A fit is decoded when it is needed."""
+    """Fits of the file by their key. Each fit is decoded when it is needed."""
 
     def __init__(self, file: Path) -> None:
         import pyarrow.parquet as pq
@@ -149,5 +149,5 @@ class ShippedFits(Mapping[int, Fit]):
 
 @cache
 def shipped_fits() -> Mapping[int, Fit]:
-    """Return all fits of the file by their key, none if there is no file."""
+    """Return all fits of the file by key, or no fits if there is no file."""
     return ShippedFits(FILE) if FILE.exists() else {}

@@ -4,9 +4,9 @@
     thermal    rates, in the longer plan faces too, at set-points    -> fit_drift    tables
     a sit-to-stand, worn, warmer -> correct, orient, compare with the optics: none, static, static and dynamic
 
-A run drives the bench as it drives hardware, and each protocol makes a run folder. Time is simulated, so nothing depends on how
-busy the host is. The chamber heats by 10 K per second, and the board, with its thermometer in moving air, follows within seconds.
-Real soaks take hours. Only ``compare_with_truth`` uses the hidden truth.
+A run drives the bench as it drives hardware, and each protocol makes a run folder. Time is simulated, so the results do not depend
+on the load of the host. The chamber heats by 10 K per second, and the board, with its thermometer in moving air, follows within
+seconds. Real soaks take hours. Only ``compare_with_truth`` uses the hidden truth.
 """
 
 from collections.abc import Callable, Sequence
@@ -47,14 +47,14 @@ from undrift.validation.trial import Trial
 # ---- recording on the virtual bench
 
 KIND = "enc03j_3031"
-UNIT_SEED = 1  # its pitch gyroscope drifts by 0.1 deg/s per K, well inside what this kind spreads
+UNIT_SEED = 1  # its pitch gyroscope drifts by 0.1 deg/s per K, well within the spread of this kind
 SET_POINTS_C = (18.0, 31.0, 38.0, 45.0)  # (the worn board is at 37.5 degC, the bench at 25 degC)
-THERMOMETER_LAG_S = 5.0  # in the chamber's moving air
+THERMOMETER_LAG_S = 5.0  # time constant in the chamber's moving air
 AIR = AirSettings(ramp_c_per_min=600.0, period_s=8.0, damping=0.8, board_lag_s=4.0)
 SOAK, SOAK_C_PER_MIN = ChamberSetup(window_s=20.0), 0.5
 SETTLE_S = 35.0  # forecast of the air: overshoot, then the window
 
-Tell = Callable[[str, float], None]  # receives the current activity, and the share of the recordings that is done
+Tell = Callable[[str, float], None]  # called with the current activity and the completed share of the recordings
 
 
 def bench_protocols(*, quick: bool = False) -> tuple[Protocol, Protocol]:
@@ -87,7 +87,7 @@ def bench_device() -> DeviceModel:
 def record_on_bench(
     protocols: Sequence[Protocol], device: DeviceModel, folder: Path, *, tell: Tell
 ) -> tuple[RunResult, ...]:
-    """Simulate a bench with a device on it, and record each protocol into a folder of its own."""
+    """Simulate a bench with a device, and record each protocol into a separate folder."""
     bench, results = SimulatedBench((device,), SimulatedSettings(air=AIR, chamber=SOAK)), list[RunResult]()
     settings = ProgrammeSettings(mount_s=0.5, heating_c_per_min=AIR.ramp_c_per_min, settle_s=SETTLE_S)
     with stopping_on_signals():
@@ -119,19 +119,19 @@ def worn_trial(device: DeviceModel, *, seed: int) -> tuple[Record, Reference]:
 
 # ---- comparison with the hidden truth
 
-MATRIX_LIMIT = 3e-3  # half a bit of 12 is 1e-3 of gravity, and there are three axes
-WARM_MATRIX_LIMIT = 6e-3  # fewer and shorter turns at each set-point
-GYRO_LIMIT_DPS = 0.25  # hysteresis of this kind is up to 0.1, the rest of the warm-up 0.05, random walk the rest
-ACCEL_LIMIT_MG = 5.0  # three bits of 12
+MATRIX_LIMIT = 3e-3  # half a step of 12 bits is 1e-3 of gravity, and there are three axes
+WARM_MATRIX_LIMIT = 6e-3  # there are fewer and shorter turns at each set-point
+GYRO_LIMIT_DPS = 0.25  # hysteresis of this kind is up to 0.1, the remaining warm-up 0.05, and the rest random walk
+ACCEL_LIMIT_MG = 5.0  # three steps of 12 bits
 STATIC_SHARE, FULL_SHARE = 0.5, 0.25  # limits relative to the error without tables
 
 
 class Check(NamedTuple):
-    """A figure and its limit."""
+    """A measured value and its limit."""
 
     name: str  # name of the quantity, with its unit
     value: float
-    limit: float  # The most that it may be
+    limit: float  # largest accepted value
 
     @property
     def passed(self) -> bool:
@@ -148,7 +148,7 @@ def compare_with_truth(fit: DriftFit, trials: tuple[Trial, ...], device: DeviceM
         raise InputError("demo: a matrix or the offsets over temperature are missing. Run both programmes.")
     nodes = tables.static.temp_c
     covered = (nodes >= observed.span_c[0]) & (nodes <= observed.span_c[1])
-    thermometer = device.thermometer  # settled: from its reading to the temperature of the board
+    thermometer = device.thermometer  # settled: the difference between thermometer reading and board temperature
     board = nodes[covered] - thermometer.trim_error_c - thermometer.self_heating_c
     warm = true_tables(device, board, np.array([-1.0, 0.0, 1.0]))
     matrices, offsets = list[Check](), list[Check]()

@@ -1,6 +1,6 @@
 """Twin: the device model fitted to a real device, and its accuracy on a motion that was not used in the fit.
 
-Input: raw recordings of a device with an orientation reference (poses of the same body), each of which begins at rest. Output: a
+Input: raw recordings of a device, which begin at rest, each with an orientation reference (poses of the same body). Output: a
 ``Twin``, in which every parameter has its standard error or the reason why these recordings do not identify it.
 ``held_out`` computes the errors of its simulated readings on other recordings.
 

@@ -5,7 +5,7 @@ at a sensor with the position r from that origin is::
 
     f + L r = M u(t + d) - c            f = R_nb^T (p'' + g z),  L = [w']x + [w]x [w]x,  c = M o
 
-The optics are noisy, as they are differentiated twice, and the readings u are not. So f is the dependent variable, and the
+The optics are noisy, as they are differentiated twice, and the readings u are not. Therefore f is the dependent variable, and the
 regressors have little noise. All terms are turned to n and low-passed there, because a low-pass in n commutes with the second
 derivative of the position. The model is linear in M, c and r, and in d through the time derivative of u. Residuals beyond 1.345
 robust standard deviations have less weight (Huber). Filtered residuals are correlated, so the covariance is a sandwich estimate
@@ -37,8 +37,8 @@ from undrift.sim.motion.poses import PoseSettings, PoseSpline, fit_pose_spline, 
 POSE_CUTOFF_HZ = 30.0
 MAX_CUTOFF_SHARE = 0.4  # highest cut-off, relative to the sample rate of poses or readings
 MIN_STRETCH_S = 1.0  # shorter stretches are not filtered
-EDGE_PERIODS = 1.5  # periods of the cut-off that are left out at each end of a stretch
-SAMPLES_PER_PERIOD = 4.0  # samples for each period of the cut-off
+EDGE_PERIODS = 1.5  # number of periods of the cut-off that are omitted at each end of a stretch
+SAMPLES_PER_PERIOD = 4.0  # number of samples per period of the cut-off
 ORDER = 2
 SIX_DB = (math.sqrt(2.0) - 1.0) ** (0.5 / ORDER)  # cut-off of ``zero_phase`` for an attenuation by 6 dB at 1 Hz
 
@@ -48,22 +48,22 @@ class Match(Aligned):
     """One recording in rad/s and m/s2, and the motion of its reference."""
 
     name: str
-    spline: PoseSpline  # through the poses
+    spline: PoseSpline  # motion through the poses
     rest_offset: FloatArray  # (3,), mean of ``gyro`` at rest before the motion, rad/s, or NaN without a rest
 
     def at(self, delay_s: float, gravity_m_s2: float) -> Motion:
-        """Return the motion at the instants that readings with a delay belong to."""
+        """Return the motion at the times to which readings with a delay belong."""
         return self.spline.at(self.record.time - delay_s, gravity_m_s2)
 
     @property
     def moving(self) -> BoolArray:
-        """True within the motion, half a second of rest on either side included, shape (N,)."""
+        """Return True within the motion, including half a second of rest on either side, shape (N,)."""
         time = self.record.time
         return np.asarray((time >= self.span.start_s - MARGIN_S) & (time < self.span.stop_s + MARGIN_S))
 
     @property
     def rest(self) -> Record:
-        """Readings of the rest before the motion, the ADC's rounding corrected: truncation narrows noise about zero."""
+        """Return the readings at rest before the motion, corrected for rounding, because truncation narrows noise about zero."""
         return replace(self.record, gyro=self.gyro).between(float(self.record.time[0]), self.span.start_s - MARGIN_S)
 
     def stretches(self, motion: Motion, readings: FloatArray) -> Iterator[slice]:
@@ -97,7 +97,7 @@ def pose_spline(reference: Reference, cutoff_hz: float) -> PoseSpline:
 
 
 def low_passed(values: FloatArray, cutoff_hz: float, sample_rate_hz: float) -> tuple[FloatArray, IntArray]:
-    """Return columns (N, C) low-passed without delay, a few samples per period without the ends, and their rows."""
+    """Return columns (N, C) low-passed without delay, at a few samples per period and without the ends, and their rows."""
     edge = math.ceil(EDGE_PERIODS * sample_rate_hz / cutoff_hz)
     rows: IntArray = np.arange(edge, len(values) - edge, max(1, int(sample_rate_hz / (SAMPLES_PER_PERIOD * cutoff_hz))))
     return zero_phase(values, SIX_DB * cutoff_hz, sample_rate_hz=sample_rate_hz, order=ORDER)[rows], rows
@@ -105,7 +105,7 @@ def low_passed(values: FloatArray, cutoff_hz: float, sample_rate_hz: float) -> t
 
 # ---- the fit
 
-CUTOFF_HZ = 10.0  # above it the second derivative of the poses is noise
+CUTOFF_HZ = 10.0  # above this, the second derivative of the poses is noise
 BLOCK_S = 1.0
 MIN_BLOCKS = 20
 
@@ -117,7 +117,7 @@ class AccelRows:
     design: FloatArray  # (K, 3, 16), matrix row by row, c, lever arm, delay; frame n
     force: FloatArray  # (K, 3), p'' + g z, m/s2
     block: IntArray  # (K,), number of the second that each row belongs to
-    delay: float  # beyond the gyroscopes', s
+    delay: float  # delay beyond that of the gyroscopes, s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -143,7 +143,7 @@ def accel_rows(match: Match, *, delay: float, matrix: FloatArray, gravity_m_s2: 
     """Return the equations of a recording, linearised at a delay beyond the gyroscopes' and at a matrix."""
     readings = match.record.accel
     if readings is None or match.reference.position is None:
-        raise InputError("accel fit: needs accel readings and positions of the reference. One of them is missing.")
+        raise InputError("accel fit: accelerometer readings and positions of the reference are needed. One is missing.")
     motion, rate = match.at(match.lag.seconds + delay, gravity_m_s2), match.record.sample_rate_hz
     lever, tables, times = lever_matrix(motion), [], []
     for rows in match.stretches(motion, readings):
@@ -160,7 +160,7 @@ def accel_rows(match: Match, *, delay: float, matrix: FloatArray, gravity_m_s2: 
         tables.append(table.reshape(len(kept_rows), 3, 17))
         times.append(match.record.time[rows][kept_rows])
     if not tables:
-        raise NotObservable("accel fit: no second of motion has poses throughout. Record longer motion.")
+        raise NotObservable("accel fit: there is no second of motion with complete poses. Record longer motion.")
     table, block = np.concatenate(tables), np.floor(np.concatenate(times) / BLOCK_S).astype(np.int64)
     return AccelRows(design=table[:, :, :16], force=table[:, :, 16], block=block, delay=delay)
 
@@ -207,7 +207,7 @@ def _solve(rows: Sequence[AccelRows]) -> tuple[FloatArray, FloatArray, float]:
     blocks = np.flatnonzero(np.concatenate([np.append(True, np.diff(item.block) != 0) for item in rows]))
     if len(blocks) < MIN_BLOCKS:
         raise NotObservable(
-            f"accel fit: needs {MIN_BLOCKS} s of motion with poses or more, got {len(blocks)} s. Record longer.",
+            f"accel fit: {MIN_BLOCKS} s or more of motion with poses are needed, got {len(blocks)} s. Record longer.",
             seconds=len(blocks),
         )
     condition = full_rank(design, "accel fit")

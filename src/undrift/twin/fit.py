@@ -24,7 +24,7 @@ from undrift.record import Record, Reference
 from undrift.twin.accel import AccelFit, AccelRows, Match, match, prepare_accel, solve_accel
 from undrift.units import STANDARD_GRAVITY
 
-BLOCK_S = 0.25  # length of a block at rest, s: people and floors move a device more slowly
+BLOCK_S = 0.25  # length of a block at rest, s: motion of people and floors is slower
 MIN_REST_S = 2.0
 
 
@@ -35,7 +35,7 @@ class TwinParameter:
     name: str
     unit: str  # "1" for a ratio
     value: float = math.nan  # NaN if it is not identified
-    standard_error: float = math.nan  # same unit
+    standard_error: float = math.nan  # standard error, same unit
     reason: str = ""  # reason if the recordings do not identify it (otherwise empty)
 
     @property
@@ -45,7 +45,7 @@ class TwinParameter:
 
 
 class RestNoise(NamedTuple):
-    """White noise of a triad that gives the scatter at rest at the sample rate of the recordings."""
+    """White noise of a triad that explains the scatter at rest at the sample rate of the recordings."""
 
     random_walk: FloatArray  # (3,), N, unit/sqrt(Hz)
     random_walk_error: FloatArray  # (3,), standard error
@@ -57,8 +57,8 @@ class Prepared:
 
     matches: tuple[Match, ...]
     adc: AdcModel | None  # rounding of the gyroscope codes
-    accel: tuple[AccelRows, ...]  # equations of the accelerometer, one for each recording (empty: refused)
-    accel_refused: str  # reason if no accelerometers were fitted
+    accel: tuple[AccelRows, ...]  # equations of the accelerometer, one per recording (empty: not usable)
+    accel_refused: str  # reason why no accelerometers were fitted, or ""
     gravity_m_s2: float
 
 
@@ -92,7 +92,8 @@ def fit_twin(
     Parameters
     ----------
     records : sequence of Record
-        Raw recordings of one device in one mounting. Without a rest, a recording has the offset of the device in motion.
+        Raw recordings of one device in one mounting. The offset of a recording without a rest is the offset of the device in
+        motion.
     references : sequence of Reference
         One for each record.
     gravity_m_s2 : float
@@ -183,7 +184,7 @@ def rest_noise(records: Sequence[Record], channel: str, *, step: float = 0.0) ->
 
 
 def mean_with_error(values: FloatArray, errors: FloatArray) -> tuple[float, float]:
-    """Return the mean of several estimates (R,) and its standard error, the larger of their errors' and their scatter's."""
+    """Return the mean of several estimates (R,) and its standard error, the larger one from their errors and their scatter."""
     claimed = float(np.sqrt((errors**2).sum())) / len(values)
     scatter = float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0
     return float(values.mean()), max(claimed, scatter)
@@ -200,7 +201,7 @@ def _parameters(
     if np.isfinite(gyro.rest_offsets).all(axis=1).any():
         yield from _axes("gyro_motion_offset", "rad/s", gyro.motion_offset, errors[9:12])
     else:
-        reason = "No recording rests: the offset is that in motion"
+        reason = "No recording contains a rest, so the offset applies in motion"
         yield TwinParameter(name="gyro_motion_offset", unit="rad/s", reason=reason)
     if accel is None:
         yield TwinParameter(name="accel_matrix", unit="1", reason=accel_refused)

@@ -1,9 +1,9 @@
 """Comparison of the twin with the real device on a motion that was not used in the fit.
 
 The twin is fitted to the other recordings of the device. Its readings of the held-out motion and the real readings are corrected
-by the twin's matrix, each with its own offset, and integrated from the same orientation over every window. The result is the
-largest difference of sagittal pitch in a window while the vertical is within 60 deg of the sagittal plane. (Beyond, pitch more than
-doubles a difference of tilt.)
+with the twin's matrix, each with its own offset, and integrated from the same orientation over every window. The result is the
+largest difference of sagittal pitch in a window while the vertical is within 60 deg of the sagittal plane. (Beyond 60 deg, pitch
+more than doubles a difference of tilt.)
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -64,10 +64,10 @@ def _chain(matrix: FloatArray, offset: FloatArray, noise: RestNoise | None, unit
 # ---- errors over windows
 
 WINDOWS_S = (5.0, 50.0)
-STRIDE_S = 0.5  # from one window to the next
-POINTS_PER_S = 36.0  # at which a window is compared
-IN_PLANE = 0.5  # least part of the vertical in the sagittal plane
-SHARED_CLOCK_S = 1e-3  # delays of a device's recordings agree to this if device and optics share a clock
+STRIDE_S = 0.5  # time from one window to the next
+POINTS_PER_S = 36.0  # rate at which a window is compared
+IN_PLANE = 0.5  # smallest component of the vertical in the sagittal plane
+SHARED_CLOCK_S = 1e-3  # largest difference of delays between a device's recordings if device and optics share a clock
 MOTION_CUTOFF_HZ = 20.0
 
 
@@ -91,7 +91,7 @@ def compare_held_out(
     prepared = twin.prepared
     count = len(prepared.matches)
     if count < 2:
-        raise InputError("twin: needs two recordings to hold one out, got one. Record the device a second time.")
+        raise InputError("twin: at least two recordings are needed to hold one out. Record the device a second time.")
     trials = list[HeldOutTrial]()
     for number, match in enumerate(prepared.matches):
         progress(f"held out: recording {number + 1} of {count}", number / count)
@@ -113,7 +113,7 @@ def _rates(twin: Twin, number: int, rng: np.random.Generator) -> tuple[Motion, F
     lag_s = twin.delay if abs(match.lag.seconds - twin.delay) < SHARED_CLOCK_S else match.lag.seconds
     spline = pose_spline(replace(match.reference, position=None), MOTION_CUTOFF_HZ)
     motion = spline.at(match.record.time - (lag_s - 0.5 / rate_hz), twin.prepared.gravity_m_s2)
-    # without delay: the motion is evaluated at the delayed instants
+    # without delay: the motion is evaluated at the delayed times
     device = replace(device_of(twin, sample_rate_hz=rate_hz), sampling=Sampling())
     readings = restored_gyro(np.asarray(simulate_device(device, motion, rng=rng).record.gyro), twin.adc)
     offset = twin.gyro.model_at_rest_offset(match.rest_offset).offset
@@ -121,7 +121,7 @@ def _rates(twin: Twin, number: int, rng: np.random.Generator) -> tuple[Motion, F
 
 
 def _windows(motion: Motion, real: FloatArray, simulated: FloatArray, rows: slice, length_s: float) -> Iterator[float]:
-    """Yield the largest difference of pitch by two rates (N, 3), rad/s, in every window of a stretch, rad."""
+    """Yield the largest difference between the pitch from two rates (N, 3), rad/s, in every window of a stretch, rad."""
     time, q_nb, rate_hz = motion.time[rows], motion.q_nb[rows], motion.sample_rate_hz
     samples, stride = round(length_s * rate_hz), max(1, round(STRIDE_S * rate_hz))
     if len(time) <= samples:

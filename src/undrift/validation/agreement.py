@@ -1,12 +1,13 @@
 """Errors over several recordings, leave-one-out, agreement of two methods, and differences against a margin.
 
-Agreement of methods over n people and k methods, with mean squares MSR of rows, MSC of columns and MSE of the rest [1]_::
+Agreement of methods over n people and k methods, with mean squares MSR of rows, MSC of columns and MSE of the residuals [1]_::
 
-    ICC(2,1) = (MSR - MSE) / (MSR + (k-1) MSE + k (MSC - MSE) / n)      absolute agreement, methods drawn from many
+    ICC(2,1) = (MSR - MSE) / (MSR + (k-1) MSE + k (MSC - MSE) / n)      absolute agreement, methods drawn at random
     SEM      = sqrt(max(MSC - MSE, 0) / n + MSE)                        standard error of one measurement
     MDC95    = 1.96 sqrt(2) SEM                                         smallest detectable change
 
-The interval follows from F distributions [2]_. An ICC depends on how much the people differ: report it with the limits [3]_.
+The interval follows from F distributions [2]_. An ICC depends on how much the people differ. Report it together with the limits
+[3]_.
 
 A difference d of two mean errors is judged against a margin M by the three-sided test [4]_: better if d <= M is rejected, worse if
 d >= -M is rejected, equivalent if d <= -M and d >= M are both rejected (two one-sided tests), otherwise not decidable. One of the
@@ -61,12 +62,12 @@ class IntraclassCorrelation:
     """ICC(2,1) of single measurements."""
 
     value: float  # estimate, which can be negative
-    interval: Interval  # 95 %
+    interval: Interval  # 95 % interval
     minimal_detectable_change: float  # MDC95, unit of the data
 
 
 def bland_altman(first: FloatArray, second: FloatArray) -> BlandAltman:
-    """Compare two methods over subjects, one value each (n,)."""
+    """Compare two methods over subjects, with one value per subject (n,)."""
     difference = first - second
     bias, reach = float(difference.mean()), Z95 * float(difference.std(ddof=1))
     return BlandAltman(bias=bias, limits=(bias - reach, bias + reach), count=len(difference))
@@ -113,19 +114,19 @@ def mean_interval(values: FloatArray) -> tuple[float, Interval]:
 
 # ---- a difference against a margin
 
-MIN_PEOPLE = 3  # fewest people for a verdict
+MIN_PEOPLE = 3  # smallest number of people for a verdict
 LEVEL = 0.05  # significance level of all differences that are tested together
-MIN_PEOPLE_FOR_AGREEMENT = 10  # with fewer, a limit of agreement is less certain than the limits are wide
+MIN_PEOPLE_FOR_AGREEMENT = 10  # with fewer people, a limit of agreement is less certain than the limits are wide
 Verdict95 = Literal["better", "equivalent", "worse", "not decidable"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairedDifference:
-    """A mean error compared with another one over the same people."""
+    """A mean error compared with another mean error over the same people."""
 
-    difference: float  # other mean error minus this one, unit of the data: positive if this one is better
-    interval: Interval  # 95 %, not corrected for the number of tests
-    verdict: Verdict95  # by a margin, at 5 % over all tests
+    difference: float  # other mean error minus this mean error, unit of the data (positive if this error is smaller)
+    interval: Interval  # 95 % interval, not corrected for the number of tests
+    verdict: Verdict95  # decision against a margin, at 5 % over all tests
 
 
 def decide_between(errors: FloatArray, others: FloatArray, *, margin: float, tests: int = 1) -> PairedDifference:
@@ -150,7 +151,7 @@ def decide_between(errors: FloatArray, others: FloatArray, *, margin: float, tes
 # ---- several recordings
 
 ONE_DEVICE_DPS = 0.1  # BROAD: one warm device repeats its reading at rest within 0.01-0.02 deg/s over a session
-MOUNTING_ABOVE = 1.0 * RADIAN_PER_DEGREE  # a recording in a mounting of its own is turned back from here on, rad
+MOUNTING_ABOVE = 1.0 * RADIAN_PER_DEGREE  # mounting angle from which a recording's readings are turned back, rad
 
 Pair = tuple[Record, Reference]
 Progress = Callable[[str, float], None]
@@ -160,10 +161,10 @@ Progress = Callable[[str, float], None]
 class Validation(Shown):
     """Recordings compared with their references."""
 
-    trials: tuple[Trial, ...]  # one for each recording
-    mean: Figures  # over the trials, without gaps
+    trials: tuple[Trial, ...]  # one trial per recording
+    mean: Figures  # mean and median over the trials, without gaps
     median: Figures
-    held_out: tuple[HeldOut, ...] = ()  # the fit that corrected each recording, in leave-one-out
+    held_out: tuple[HeldOut, ...] = ()  # fit that corrected each recording, in leave-one-out
 
     @classmethod
     def of(cls, trials: Sequence[Trial], held_out: tuple[HeldOut, ...] = ()) -> "Validation":
@@ -176,7 +177,7 @@ class Validation(Shown):
         return cls(trials=tuple(trials), mean=mean, median=median, held_out=held_out)
 
     def facts(self) -> dict[str, str]:
-        """Return the rows of the value's table: what, and its value with unit."""
+        """Return the rows of the table of values: name, and value with unit."""
         totals = {trial.recording: f"total {trial.figures.rmse_total_deg:.2f} deg rms" for trial in self.trials}
         return totals | {f"mean {name}": text for name, text in rows_of(self.mean).items()}
 
@@ -200,9 +201,9 @@ def validate_trials(
     settings : TrialSettings
         Settings of ``validate_trial``.
     names : sequence of str
-        Name of each trial, by default that of its reference.
+        Name of each trial, by default the name of its reference.
     progress : callable
-        Called with the work and the share that is done.
+        Called with a description of the work and the completed share.
 
     Returns
     -------
@@ -212,7 +213,7 @@ def validate_trials(
     Raises
     ------
     InputError
-        The numbers of recordings, calibrations and names do not match; and all that ``validate_trial`` raises.
+        The numbers of recordings, calibrations and names do not match. ``validate_trial`` lists further causes.
 
     Examples
     --------
@@ -256,13 +257,13 @@ def validate_leave_one_out(
     pairs : sequence of (Record, Reference)
         Two or more recordings of one device.
     settings : TrialSettings
-        Settings of ``validate_trial``. The fit brings the offset, so of ``offset`` only "motion" has an effect.
+        Settings of ``validate_trial``. The fit contains the offset, so the only value of ``offset`` with an effect is "motion".
     mounting : str
         "each" if the device was put on the reference body again for each recording, or "one".
     names : sequence of str
-        Name of each trial, by default that of its reference.
+        Name of each trial, by default the name of its reference.
     progress : callable
-        Called with the work and the share that is done, 0 to 1.
+        Called with a description of the work and the completed share, 0 to 1.
 
     Returns
     -------
@@ -272,7 +273,7 @@ def validate_leave_one_out(
     Raises
     ------
     InputError
-        Fewer than two recordings; and all that ``leave_one_out`` and ``validate_trial`` raise.
+        There are fewer than two recordings. ``leave_one_out`` and ``validate_trial`` list further causes.
     """
     calibrations, fits = calibrations_by_others(pairs, settings=settings, mounting=mounting, progress=progress)
     shown = settings.offset == "motion"
@@ -295,7 +296,7 @@ def calibrations_by_others(
     mounting: Mounting = "each",
     progress: Progress = lambda what, share: None,
 ) -> tuple[tuple[Calibration, ...], tuple[HeldOut, ...]]:
-    """Return a calibration per recording, from the other references and the offset of its own rest, and the fits."""
+    """Return a calibration for each recording, from the other references and the offset of its own rest, and the fits."""
     records, references = [record for record, _ in pairs], [reference for _, reference in pairs]
     for (i, first), (k, second) in combinations(enumerate(record.gyro for record in records), 2):
         if first is not None and second is not None and np.array_equal(first, second, equal_nan=True):

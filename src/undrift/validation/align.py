@@ -2,7 +2,7 @@
 
 Mounting: the rotation R from the device's case b to the body m that the reference tracks. From rates about two axes or more, R
 minimises sum |w - R u|^2 over the rates w of the body and u of the device about their means (Kabsch's problem, 1976). A movement
-about one axis, such as rising from a chair, does not determine that rotation. If the axes of the body mean nothing, as those of a
+about one axis, such as rising from a chair, does not determine R. If the axes of the body have no meaning, such as those of a
 cluster of markers, the vertical at rest replaces the second axis::
 
     R = R(g, angle) R1        R1: shortest rotation from the mean specific force to the vertical g of the body
@@ -35,8 +35,8 @@ from undrift.sync import MotionSpan, RunningIntegral, native_poses, pose_rates
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 Align = Literal["auto", "level"]
-REST_S = 10.0  # rest before the motion that gives tilt and heading
-LEAD_S = 0.5  # integration starts so long before the motion
+REST_S = 10.0  # duration of the rest before the motion that determines tilt and heading
+LEAD_S = 0.5  # time before the motion at which integration starts
 LEAST_SPREAD = 0.02  # smallest second singular value relative to the largest, for rotation about two axes
 MIRRORED_SHARE = 0.2  # third singular value relative to the second, above which a reflection cannot be noise
 
@@ -60,7 +60,7 @@ def align(
     """Return the record in the axes of the body, and its mounting, or None if the motion does not determine it.
 
     "auto" removes a rotation that exceeds ``above`` (rad), from rates. "level" removes any rotation, from the vertical at rest and
-    the rates, or from the rates alone if the recording does not begin at rest.
+    the rates, or from the rates only if the recording does not begin at rest.
     """
     matrix: FloatArray | None = None
     if how == "level":
@@ -78,7 +78,7 @@ def align(
 
 
 def turned(record: Record, matrix: FloatArray) -> Record:
-    """Return the record in axes to which a rotation (3, 3) turns its vectors."""
+    """Return the record in the axes to which a rotation (3, 3) turns its vectors."""
     gyro, accel = (x if x is None else x @ matrix.T for x in (record.gyro, record.accel))
     return replace(record, gyro=gyro, accel=accel)
 
@@ -115,14 +115,14 @@ def rotation_by_rates(record: Record, poses: Reference, *, lag_s: float) -> Floa
 
 
 def rotation_by_level(record: Record, poses: Reference, motion: MotionSpan, *, lag_s: float) -> FloatArray:
-    """Return the rotation (3, 3) from their verticals at rest and rotation about a level axis."""
+    """Return the rotation (3, 3) from the device to the body, from their verticals at rest and rotation about a level axis."""
     start_s, stop_s = motion.start_s - REST_S, motion.start_s - LEAD_S
     rest = poses.valid & (poses.time >= start_s - lag_s) & (poses.time < stop_s - lag_s)
     forces = np.empty((0, 3)) if record.accel is None else record.accel
     forces = forces[((record.time >= start_s) & (record.time < stop_s))[: len(forces)]]
     if not motion.rested or not rest.any() or not np.isfinite(forces).any():
         raise AlignmentError(
-            "alignment: no common vertical at rest before the motion. Start the recording with a rest."
+            "alignment: there is no common vertical at rest before the motion. Start the recording with a rest."
         )
     vertical = rotate(quaternion_conjugate(poses.q_nb[rest]), np.array([0.0, 0.0, 1.0])).mean(axis=0)
     g, f = (x / np.linalg.norm(x) for x in (vertical, np.nanmean(forces, axis=0)))
@@ -131,13 +131,13 @@ def rotation_by_level(record: Record, poses: Reference, motion: MotionSpan, *, l
     u = rotate(q_level, rates)
     across, along = float((cross(u, v) @ g).sum()), float((u * v).sum() - ((u @ g) * (v @ g)).sum())
     if math.hypot(across, along) < LEAST_SPREAD * float((v * v).sum()):
-        raise AlignmentError("alignment: no rotation about a level axis. Bend or turn over once.")
+        raise AlignmentError("alignment: there is no rotation about a level axis. Bend forward or turn over once.")
     return rotation(quaternion_product(quaternion_of(math.atan2(across, along) * g), q_level)).as_matrix()
 
 
 # ---- conventions of device and reference
 
-# Shares of the square of the rates that are left over: sound recordings leave 0.001 to 0.04 (BROAD, before calibration)
+# Remaining shares of the squared rates: 0.001 to 0.04 in sound recordings (BROAD, before calibration)
 UNLIKE, EXPLAINED = 0.15, 0.1
 TILTED, CLEARLY = 30.0 * RADIAN_PER_DEGREE, 60.0 * RADIAN_PER_DEGREE
 LENGTH = (0.8, 1.2)  # range of the length of u for matching attitudes and forces
@@ -158,7 +158,7 @@ def unexplained_share(record: Record, poses: Reference, lag_s: float) -> tuple[f
 
 
 def check_reference(record: Record, poses: Reference, lag_s: float) -> tuple[Finding, ...]:
-    """Return findings on the convention of a reference's poses, or raise an error if it is clearly wrong. The record is in SI."""
+    """Return findings on the convention of a reference's poses, or raise if it is clearly wrong. The record is in SI units."""
     share, r_mb = unexplained_share(record, poses, lag_s)
     if math.isnan(share):
         return ()
@@ -173,12 +173,12 @@ def check_reference(record: Record, poses: Reference, lag_s: float) -> tuple[Fin
         }
         texts = [text for text in sorted(shares, key=lambda text: shares[text]) if shares[text] < EXPLAINED]
         if texts:
-            raise _implausible(poses, ", or ".join(texts), "Convert them, or name their order in the map of the file.")
+            raise _implausible(poses, ", or ".join(texts), "Convert them, or enter their order in the map of the file.")
         return (
             finding(
                 "validate.rates_differ",
                 "warn",
-                f"Device and reference do not turn alike: {100.0 * share:.0f} % of the squared rates remain. The "
+                f"Device and reference do not turn in the same way: {100.0 * share:.0f} % of the squared rates remain. The "
                 "reference is of another segment or trial, or the device moves on the body.",
                 "Check that the reference belongs to this body and this trial.",
             ),
@@ -204,11 +204,11 @@ def check_reference(record: Record, poses: Reference, lag_s: float) -> tuple[Fin
     return check_vertical(angle, text)
 
 
-_NAME_UP = "Name the axis of the laboratory that points up (`reference_up`, or up in the map of a table)"
+_NAME_UP = "Set the axis of the laboratory that points up (`reference_up`, or up in the map of a table)"
 
 
 def check_vertical(angle: float, text: str) -> tuple[Finding, ...]:
-    """Return a finding if a large angle, rad, lies between the verticals of the device and of the reference."""
+    """Return a finding if the angle between the verticals of device and reference, rad, is large."""
     if not angle > TILTED:
         return ()
     sentence = f"Gravity is {angle / RADIAN_PER_DEGREE:.0f} deg off the vertical of the reference: {text}."

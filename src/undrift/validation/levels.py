@@ -8,15 +8,15 @@
     all tables, rest    all tables, minus that offset
     motion              the whole calibration, minus the offset that gravity determines during the motion
 
-The error of a trial is the root mean square over its motion: of the pitch if every trial has one throughout, otherwise of the total
-angle. Errors are averaged by person, since repeated trials of a person are not independent. The mean over people has Student's 95 %
-interval. Each level is compared with the level above it over the same people (validation/agreement.py).
+The error of a trial is the root mean square over its motion. It is the pitch error if every trial has a pitch throughout, otherwise
+the error of the total angle. Errors are averaged by person, since repeated trials of a person are not independent. The mean over
+people has Student's 95 % interval. Each level is compared with the level above it, over the same people (validation/agreement.py).
 
-Agreement is on the range of pitch of a trial: one mean per person, from ten people on. ICC(2,1) is reported separately for each
-task, because differences between tasks would inflate it.
+Agreement is computed for the range of pitch of a trial, with one mean per person, if there are ten people or more. ICC(2,1) is
+reported separately for each task, because differences between tasks would inflate it.
 
-A simulated device errs exactly as its calibration says. In the motion of a trial, its error at a level is the difference between
-the orientation at that level and the orientation by everything that the calibration contains. Where the actual error differs, the
+The simulated device has exactly the errors that its calibration describes. In the motion of a trial, its error at a level is the
+difference between the orientation at that level and the orientation with the whole calibration. If the actual error differs, the
 device has an error that the calibration does not describe (the note's Figure 3).
 """
 
@@ -137,18 +137,18 @@ Judged = dict[tuple[Method, str], list[Trial | str]]  # by method and level, one
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LevelTrial:
-    """One recording with its reference, and whose it is."""
+    """One recording with its reference and its person."""
 
     recording: str
     record: Record
     reference: Reference
     calibration: Calibration | None = None
-    person: str = ""  # empty: a person of its own
+    person: str = ""  # empty: a separate person
     task: str = ""
     device: str = ""
-    cluster: bool = False  # the reference is a cluster of markers, which is levelled at rest
+    cluster: bool = False  # True if the reference is a cluster of markers, which is levelled at rest
     mounting: BodyMounting | None = None  # orientation of the device on the body segment
-    left_out: bool = False  # the calibration was fitted to other recordings, its offset to the rest of this one
+    left_out: bool = False  # True if the calibration is from other recordings, with the offset of this one's rest
     clocks: Clocks | None = None  # clocks from an earlier comparison
 
 
@@ -158,11 +158,11 @@ class LevelErrors:
 
     level: str
     method: Method
-    error_deg: FloatArray  # (T,), root mean square over the motion
-    measure_deg: FloatArray  # (T, 2), range of pitch by the device and by the reference
+    error_deg: FloatArray  # (T,), root-mean-square error over the motion
+    measure_deg: FloatArray  # (T, 2), range of pitch from the device and from the reference
     simulated_deg: FloatArray  # (T,), error of the simulated device
     difference_deg: FloatArray  # (T,), largest difference between the errors of both devices over the motion
-    findings: tuple[tuple[str, Finding], ...]  # warnings, each with its recording
+    findings: tuple[tuple[str, Finding], ...]  # warnings, each with the name of its recording
     missing: str  # number of trials that cannot be evaluated, and the first reason (empty if all can)
 
 
@@ -179,7 +179,7 @@ class LevelSummary:
     interval_deg: tuple[float, float]  # 95 %
     previous: str  # level with which ``decision`` compares (empty: no comparison)
     decision: PairedDifference | None  # None with fewer than three people
-    agreement: BlandAltman | None  # device minus reference over people, or None with fewer than ten
+    agreement: BlandAltman | None  # device minus reference over people, or None with fewer than ten people
     icc: IntraclassCorrelation | None  # ICC(2,1) over people, or None (also over several tasks)
 
 
@@ -190,7 +190,7 @@ class LevelTable:
     trials: tuple[LevelTrial, ...]
     quantity: str  # "pitch" or "total"
     margin_deg: float  # smallest difference that matters
-    errors: tuple[LevelErrors, ...]  # one for each level and method
+    errors: tuple[LevelErrors, ...]  # one per level and method
     summaries: tuple[LevelSummary, ...]
 
 
@@ -201,7 +201,7 @@ def judge_levels(
     methods: Sequence[Method] = ("strapdown",),
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> LevelTable:
-    """Judge trials at each level of correction, which decides the offset, by one or both methods.
+    """Judge trials at each level of correction with one or both methods. The level determines the offset that is subtracted.
 
     Raise InputError if no trial can be judged at any level.
     """
@@ -234,7 +234,7 @@ def judge_levels(
 def calibrate_by_others(trials: Sequence[LevelTrial], settings: TrialSettings = TrialSettings()) -> list[LevelTrial]:
     """Return trials in which each device without a calibration has one, fitted to the references of its other recordings.
 
-    A device whose fit fails, or that has one recording only, stays without a calibration.
+    A device whose fit fails, or that has only one recording, remains without a calibration.
     """
     result = list(trials)
     for device in dict.fromkeys(trial.device for trial in trials):
@@ -252,7 +252,7 @@ def calibrate_by_others(trials: Sequence[LevelTrial], settings: TrialSettings = 
 
 
 def _by_whole_calibration(judged: Judged, level: Level, method: Method, k: int) -> Trial | None:
-    """Return trial k by everything that its calibration contains, or None if the level is that itself."""
+    """Return trial k corrected with its whole calibration, or None if the level already uses the whole calibration."""
     for other in reversed(LEVELS):
         result = judged[method, other.name][k]
         if other.offset == level.offset and other.tables != "no calibration" and isinstance(result, Trial):

@@ -10,7 +10,7 @@ With constants M, o and tables M(T), o(T), e(w, T) of the same device, constants
 
 The error is the integral of w' - w ("constant"), or of w' - w minus its value at rest ("rest"). With tables the error is their 95 %
 uncertainty: offset over the time, scale over the angle, dynamic drift over the time. If a rest is subtracted as well, the noise of
-the rest takes the offset's place.
+the rest replaces the offset.
 """
 
 import math
@@ -28,7 +28,7 @@ EXCURSION_K = 12.5  # temperature rise of a device when worn, K
 STEP_S = 0.01
 NORMAL_95 = 1.96
 BOTH = "Use the tables, and subtract the offset of a rest (undrift correct --offset rest)"
-ADDS_LITTLE = 0.8  # tables with a rest leave more than this share of the error of a rest without tables
+ADDS_LITTLE = 0.8  # share of the error of a rest without tables from which tables with a rest are not worthwhile
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,9 +38,9 @@ class TableWorth:
     temp_c: float
     reference_c: float
     constant_deg: float  # constant calibration
-    rest_deg: float  # constant calibration, offset of a rest at the same temperature subtracted
-    tables_deg: float  # with tables, 95 % uncertainty
-    both_deg: float  # with tables and the offset of a rest, 95 % uncertainty
+    rest_deg: float  # constant calibration, minus the offset of a rest at the same temperature
+    tables_deg: float  # tables, 95 % uncertainty
+    both_deg: float  # tables and the offset of a rest, 95 % uncertainty
     turned: bool  # True if scale or dynamic drift was measured (otherwise only the noise of a rest is known)
 
     @property
@@ -54,7 +54,7 @@ class TableWorth:
 
     @property
     def answer(self) -> str:
-        """What to do."""
+        """Return a recommendation."""
         if self.constant_deg <= self.tables_deg:
             return "At this temperature, these tables are no better than the constant calibration: record more"
         if not self.turned:
@@ -83,7 +83,7 @@ def expected_errors(calibration: Calibration, *, rest_variance: FloatArray) -> T
         return interpolated(temp_c, table_temp_c, values)
 
     offset, matrix = gyro.offset, gyro.matrix
-    if gyro.method == "nominal":  # such a calibration knows the reading at the reference temperature only
+    if gyro.method == "nominal":  # such a calibration contains the reading at the reference temperature only
         offset = interpolated(np.clip(reference_c, *static.temp_c[[0, -1]]), static.temp_c, static.gyro_offset)
     phase = 2.0 * np.pi * np.arange(0.0, MOTION_S + 0.5 * STEP_S, STEP_S) / MOTION_S
     rate = np.tile(LEAN * np.pi / MOTION_S * np.sin(phase)[:, None], 3)

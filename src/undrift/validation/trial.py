@@ -1,9 +1,9 @@
 """Orientation errors of a recording against its reference, in degrees.
 
 The readings are corrected, and their lag behind the reference and the mounting are determined. If requested, the mean rate of the
-first still phase is subtracted. The initial tilt is from the specific force, and the initial heading from the reference, both over
-the rest before the motion. Strapdown integration starts half a second before the motion, q(t_k) = q(t_(k-1)) exp(w_k (t_k -
-t_(k-1))). With both orientations from body to level frame, the error in earth axes is e = q_imu (x) q_ref^-1 = (w, x, y, z), and
+first still phase is subtracted. The initial tilt is computed from the specific force, and the initial heading from the reference,
+both over the rest before the motion. Strapdown integration starts half a second before the motion, q(t_k) = q(t_(k-1)) exp(w_k (t_k
+- t_(k-1))). With both orientations from body to level frame, the error in earth axes is e = q_imu (x) q_ref^-1 = (w, x, y, z), and
 [1]_::
 
     total        2 acos |w|
@@ -59,12 +59,12 @@ from undrift.validation.align import LEAD_S, REST_S, Align, Mounting, align, che
 from undrift.validation.expected import ERROR_PRIOR, ErrorPrior, Expected, OffsetSource, Strapdown, expected_errors
 
 OffsetChoice = Literal["none", "rest", "motion"]
-Track = tuple[FloatArray, FloatArray]  # times (N,) s on the clock of the record, and the orientation (N, 4) at them
+Track = tuple[FloatArray, FloatArray]  # times (N,), s, on the clock of the record, and orientations (N, 4)
 
 START_S = 1.0  # time over which the reference gives the initial orientation of a recording without rest
 END_S = 3.0  # time after the motion over which the end error is taken
 FILTER_OFFSET = 0.5 * RADIAN_PER_DEGREE  # initial uncertainty of the rate offset in the filter, rad/s (as in VQF)
-# A lag up to this is the sensor's own and stays in the errors, as in benchmarks. A longer one comes from clocks or filters and is
+# A lag up to this is due to the sensor and stays in the errors, as in benchmarks. A longer lag is due to clocks or filters and is
 # removed.
 OWN_LAG_S = 0.01
 SCALE_RANGE = (0.5, 2.0)  # ratio of the rates of device and reference: outside this range, a unit is wrong
@@ -77,16 +77,16 @@ class TrialSettings:
     # offset that is subtracted after the correction, as ``correct`` and ``orient`` do
     offset: OffsetChoice = "none"
     # "auto" removes the rotation between device case and body of the reference if it exceeds ``align_above``, rad. "level" always
-    # removes it: for a body whose axes mean nothing, such as a cluster of markers (validation/align.py)
+    # removes it, for a body whose axes have no meaning, such as a cluster of markers (validation/align.py)
     align: Align = "auto"
     align_above: float = 5.0 * RADIAN_PER_DEGREE
     # axes of the body that span its sagittal plane
     forward: Face = "+x"
     up: Face = "+z"
-    mounting: BodyMounting | None = None  # the readings are turned by it to the axes of the segment
+    mounting: BodyMounting | None = None  # rotation of the readings to the axes of the segment
     longest_lag_s: float = LONGEST_LAG_S  # largest lag between the clocks, s
     prior: ErrorPrior = ERROR_PRIOR  # changes between recordings of a device, for the expected errors
-    method: Literal["strapdown", "vqf"] = "strapdown"  # vqf is a filter over the whole record, without expected errors
+    method: Literal["strapdown", "vqf"] = "strapdown"  # "vqf": filter over the whole record, without expected errors
 
     def __post_init__(self) -> None:
         check_choices(self, "validate")
@@ -102,17 +102,17 @@ class Figures:
     rmse_heading_deg: float
     rmse_pitch_deg: float
     max_abs_pitch_deg: float  # largest pitch error, which can exceed the total error near the side of the body
-    end_total_deg: float  # median error after the motion, or over its end without a rest before it
+    end_total_deg: float  # median error after the motion, or at its end if there is no rest before the motion
     end_inclination_deg: float
-    valid_optics: float  # share of the motion in which the reference saw the body
-    # share of the samples with an error in which pitch is defined: the vertical is 5 deg or more from the normal of the sagittal
+    valid_optics: float  # share of the motion in which the reference has poses
+    # share of the samples with an error for which pitch is defined: the vertical is 5 deg or more from the normal of the sagittal
     # plane
     pitch_defined: float
-    motion_s: float  # length of the motion
+    motion_s: float  # duration of the motion
 
 
 def rows_of(figures: Figures) -> dict[str, str]:
-    """Return the errors that a notebook shows, deg."""
+    """Return the errors that a notebook displays, deg."""
     names = ("total", "inclination", "heading", "pitch")
     return {f"{name}, rms": f"{getattr(figures, f'rmse_{name}_deg'):.2f} deg" for name in names}
 
@@ -139,16 +139,16 @@ def compare_orientations(
     Parameters
     ----------
     q_nb : array, shape (N, 4)
-        Judged orientation, w-x-y-z.
+        Orientation to be judged, w-x-y-z.
     reference_q_nb : array, shape (N, 4)
         Reference orientation, w-x-y-z.
     forward, up : str
-        Axes of the body that span its sagittal plane, "+x" and the like.
+        Axes of the body that span its sagittal plane, for example "+x".
 
     Returns
     -------
     OrientationError
-        In rad.
+        Errors in rad.
 
     Examples
     --------
@@ -202,16 +202,16 @@ class Trial(Shown):
     figures: Figures
     clocks: Clocks
     lag_undone: bool  # True if the lag is removed from the errors
-    motion: MotionSpan  # on the clock of the record
+    motion: MotionSpan  # start and end of the motion, on the clock of the record
     mounting: Mounting | None  # None if the motion does not determine it
     findings: tuple[Finding, ...]
     time: FloatArray  # s
-    q_nb: FloatArray  # (N, 4), orientation of the body by the device
-    error: OrientationError  # NaN where the reference saw nothing
-    sensor_pitch: FloatArray  # rad, sagittal pitch by the device
+    q_nb: FloatArray  # (N, 4), orientation of the body from the device
+    error: OrientationError  # NaN if the reference has no pose
+    sensor_pitch: FloatArray  # sagittal pitch from the device, rad
     reference_pitch: FloatArray  # rad
     moving: BoolArray  # within the motion
-    expected: Expected | None = None  # None without a calibration that states its covariance
+    expected: Expected | None = None  # None without a calibration that contains its covariance
     rest: RemainingOffset | None = None  # offset that was subtracted
 
     @property
@@ -221,7 +221,7 @@ class Trial(Shown):
 
     @property
     def within_expected(self) -> bool | None:
-        """Whether the errors over and after the motion are no larger than 95 % of the expected ones, or None without those."""
+        """Return True if the errors over and after the motion are within the expected 95 % limits, or None without limits."""
         if self.expected is None:
             return None
         end_deg = self.figures.end_total_deg
@@ -229,7 +229,7 @@ class Trial(Shown):
         return end_within and self.figures.rmse_total_deg <= self.expected.rmse_at_most_deg
 
     def facts(self) -> dict[str, str]:
-        """Return the rows of the value's table: what, and its value with unit."""
+        """Return the rows of the table of values: name, and value with unit."""
         return {"recording": self.recording} | rows_of(self.figures)
 
 
@@ -248,31 +248,31 @@ def validate_trial(
     Parameters
     ----------
     record : Record
-        Raw readings, or corrected ones without a calibration.
+        Raw readings or, without a calibration, corrected readings.
     reference : Reference
         Poses of the same body on their own clock.
     calibration : Calibration or None
-        Of this device, or None to compare the readings as they come.
+        Calibration of this device, or None to compare the readings as they are.
     settings : TrialSettings
         Offset, alignment, axes of the pitch.
     name : str
-        Name of the trial, by default that of the reference.
+        Name of the trial, by default the name of the reference.
     source : OffsetSource or None
         Source of the calibration's offset, for the expected errors. By default it follows from the settings and the model.
     clocks : Clocks or None
-        Of an earlier trial of the same recording, which saves the search of the lag.
+        Clocks of an earlier trial of the same recording, to avoid the search for the lag.
 
     Returns
     -------
     Trial
-        Figures in degrees, and the error sample by sample.
+        Figures in degrees, and the error of each sample.
 
     Raises
     ------
     InputError
-        No gyroscope, gaps in the rate, no physical unit, or rates in a wrong unit.
+        There are no gyroscopes, the rate has gaps, the unit is not physical, or the rates are in a wrong unit.
     AlignmentError
-        No common motion, or no pose in the rest before it.
+        There is no common motion, or no pose in the rest before the motion.
 
     Examples
     --------
@@ -299,7 +299,7 @@ def validate_trial(
         _worn(record, settings), poses, motion, lag_s=lag.seconds, how=settings.align, above=settings.align_above
     )
 
-    # a strapdown holds each reading over the step before its stamp: half a sample
+    # a strapdown holds each reading over the step before its time stamp: half a sample
     shift_s = lag.seconds - 0.5 / record.sample_rate_hz
     lag_undone = max(abs(lag.seconds), abs(shift_s)) > OWN_LAG_S
     track = _track(record, reference, poses, motion, shift_s, settings)
@@ -310,14 +310,14 @@ def validate_trial(
     start_s, stop_s = motion.start_s - lag.seconds * lag_undone, motion.stop_s - lag.seconds * lag_undone
     before, moving = reference.time < start_s, (reference.time >= start_s) & (reference.time < stop_s)
     if reference.moving is not None and (reference.moving > 0.0).any():
-        moving = reference.moving > 0.0  # pauses left out
+        moving = reference.moving > 0.0  # pauses are left out
     after = (reference.time >= stop_s) & (reference.time < stop_s + END_S)
     tilt = of_finite(np.median, error.inclination[before])
     frame_findings = frame_findings or check_vertical(tilt, "the axes differ at the rest before the motion")
     if not motion.rested:
         after = moving & (reference.time >= stop_s - END_S)
         sentence = (
-            "The recording has no rest before the motion. Therefore the reference gives the first orientation, at "
+            "The recording has no rest before the motion. Therefore the reference determines the initial orientation, at "
             f"{track[0][0]:.1f} s, and end errors are from the last seconds of the motion."
         )
         rest_findings += (finding("validate.no_rest", "info", sentence, "Record a pause at rest."),)
@@ -373,7 +373,7 @@ def _figures(
 
 
 def check_poses(record: Record, reference: Reference, longest_lag_s: float = LONGEST_LAG_S) -> tuple[Finding, ...]:
-    """Return findings on the conventions of a reference for readings without a calibration, or refuse it."""
+    """Return findings on the conventions of a reference for readings without a calibration, or raise if they are clearly wrong."""
     if not (is_physical(record.gyro_unit) and is_physical(record.accel_unit)):
         return ()
     record = record.in_si()
@@ -397,7 +397,7 @@ def _worn(record: Record, settings: TrialSettings) -> Record:
 
 
 def synchronise(record: Record, reference: Reference, longest_lag_s: float = LONGEST_LAG_S) -> Clocks:
-    """Find how the clocks of a recording and its reference differ. An error also names gaps, which can be its cause."""
+    """Find the difference between the clocks of a recording and its reference. An error also mentions gaps, a possible cause."""
     if record.gyro is not None and not np.isfinite(record.gyro).all(axis=1).any():
         check_gaps(record.gyro, record.time, "validate")
     try:
@@ -411,7 +411,7 @@ def synchronise(record: Record, reference: Reference, longest_lag_s: float = LON
 
 
 def _check_scale(name: str, lag: Lag) -> None:
-    """Raise InputError if a device has over twice or under half the rate of its reference, for example in a wrong unit."""
+    """Raise InputError if the rate of a device is over twice or under half that of its reference, for example in a wrong unit."""
     ratio = 1.0 / float(np.linalg.norm(lag.matrix, ord=2))  # the matrix maps readings to the rate of the reference
     if not SCALE_RANGE[0] < ratio < SCALE_RANGE[1]:
         raise InputError(
@@ -422,7 +422,7 @@ def _check_scale(name: str, lag: Lag) -> None:
 def _without_offset(
     record: Record, offset: OffsetChoice, model: TriadModel | None
 ) -> tuple[Record, RemainingOffset | None, tuple[Finding, ...]]:
-    """Subtract the remaining offset, of the first still phase or from motion."""
+    """Subtract the remaining offset, determined from the first still phase or from motion."""
     if offset == "none":
         return record, None, ()
     try:
@@ -453,7 +453,7 @@ def orientation_at(time: FloatArray, q_nb: FloatArray, times: FloatArray) -> Flo
 def _track(
     record: Record, reference: Reference, poses: Reference, motion: MotionSpan, shift_s: float, settings: TrialSettings
 ) -> Track:
-    """Return the orientation by the filter, or by strapdown from the rest before the motion or, without one, the first poses."""
+    """Return the orientation from the filter, or from strapdown that starts at the rest before the motion or at the first poses."""
     gyro = np.asarray(record.gyro)
     if settings.method == "vqf":
         q = filtered(record, gyro, FILTER_OFFSET, magnetometer=False)[0]
@@ -500,7 +500,7 @@ def _turn_to(
 
 
 def _about_vertical(q: FloatArray) -> FloatArray:
-    """Return the part of a rotation that is about the vertical."""
+    """Return the vertical part of a rotation."""
     turn = q * np.array([1.0, 0.0, 0.0, 1.0])
     return np.asarray(turn / np.linalg.norm(turn))
 
@@ -555,6 +555,6 @@ def _tilt_uncertainty(rest: Record | None, calibration: Calibration, prior: Erro
         return prior.pose
     if calibration.accel is None or np.isnan(rest.accel).any():
         return prior.tilt
-    # the calibration is judged at its own temperature and soon after it
+    # the calibration is judged at its temperature and soon after it was made
     parts = dict(initial_tilt(rest, Still(start=0, stop=len(rest))).parts)
     return math.hypot(math.hypot(parts["scatter"], parts.get("calibration", 0.0)) / math.sqrt(2.0), prior.pose)

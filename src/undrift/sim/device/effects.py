@@ -35,15 +35,15 @@ from undrift.frames import cross
 
 # ---- parameters
 
-Triple = Annotated[FloatArray, Shape(3)]  # a value per channel, (3,)
+Triple = Annotated[FloatArray, Shape(3)]  # (3,), one value per channel
 Square = Annotated[FloatArray, Shape(3, 3)]
-Powers = Annotated[FloatArray, Shape("k", 3)]  # a row per power of D, from the first
+Powers = Annotated[FloatArray, Shape("k", 3)]  # one row per power of D, from the first
 ZERO: Any = 0.0  # default of all three channels
 
 
 @dataclass(frozen=True, slots=True)
 class Least:
-    """Mark of a parameter: its smallest value."""
+    """Annotation of a parameter: its smallest value."""
 
     value: float
 
@@ -71,7 +71,7 @@ class Effect:
 
 @cache
 def _marked(cls: type) -> tuple[tuple[str, Shape | None, Least | None], ...]:
-    """Return name, shape and smallest value of each parameter that has one of them."""
+    """Return name, shape and smallest value of each parameter with a required shape or a smallest value."""
     marks = {name: get_args(hint)[1:] for name, hint in get_type_hints(cls, include_extras=True).items()}
     rows = (
         (name, *(next((mark for mark in found if isinstance(mark, kind)), None) for kind in (Shape, Least)))
@@ -82,7 +82,7 @@ def _marked(cls: type) -> tuple[tuple[str, Shape | None, Least | None], ...]:
 
 @dataclass_transform(frozen_default=True, kw_only_default=True, eq_default=False)
 def effect(cls: type) -> Any:
-    """Make a class a frozen dataclass that device.json contains, with every key."""
+    """Make a class a frozen dataclass that is stored in device.json with all its keys."""
     return stored(whole=True)(dataclass(frozen=True, slots=True, kw_only=True, eq=False)(cls))
 
 
@@ -96,7 +96,7 @@ class Scene:
     warmth: FloatArray  # (N,), temperature above the device's reference temperature, K
     age_s: FloatArray  # (N,), time since power-on, s
     rate_b: FloatArray = field(default_factory=lambda: np.empty((0, 3)))  # (N, 3), angular rate at the sample, rad/s
-    angular_acceleration_b: FloatArray | None = None  # (N, 3), rad/s2
+    angular_acceleration_b: FloatArray | None = None  # (N, 3), angular acceleration, rad/s2
     force_b: FloatArray = field(default_factory=lambda: np.empty((0, 3)))  # (N, 3), at the body's origin, m/s2
 
 
@@ -125,7 +125,7 @@ def check_even(scene: Scene, what: str) -> None:
 class LeverArm(Effect):
     """Positions of the accelerometers."""
 
-    arms: Square  # position of each sensor from the body's origin, with a row per sensor, m, frame b
+    arms: Square  # position of each sensor from the body's origin, one row per sensor, m, frame b
 
     def force(self, scene: Scene) -> FloatArray:
         """Return the force of each sensor in addition to the force at the origin, (N, 3 sensors, 3)."""
@@ -146,7 +146,7 @@ class Scale(Effect):
 
     nominal_sensitivity: float  # value in the data sheet, output unit per rad/s or m/s2
     error: Triple = ZERO  # s, relative error of each sensor's sensitivity
-    axes: Square = field(default_factory=lambda: np.eye(3))  # E, unit vector of each sensor in b, with a row per sensor
+    axes: Square = field(default_factory=lambda: np.eye(3))  # E, unit vector of each sensor in b, one row per sensor
 
     def __post_init__(self) -> None:
         Effect.__post_init__(self)
@@ -167,7 +167,7 @@ class Scale(Effect):
         return np.asarray((1.0 + self.error)[:, None] * self.axes)
 
     def scaled(self, x: FloatArray, arm_force: FloatArray | None) -> FloatArray:
-        """Return the output of the channels for a motion, and for the force of each sensor at its own place."""
+        """Return the output of the channels for a motion, and for the force at the position of each sensor."""
         if arm_force is None:
             return np.asarray(x @ self.matrix.T)
         along = x @ self.axes.T + np.einsum("ij,nij->ni", self.axes, arm_force)
@@ -184,7 +184,7 @@ class Nonlinearity(Effect):
     quadratic: Triple = ZERO  # q, per rad/s or per m/s2
 
     def bent(self, x: FloatArray) -> FloatArray:
-        """Return a signal after the non-linearity."""
+        """Return a signal after the non-linearity is applied."""
         return np.asarray(x + x * x * self.quadratic)
 
     def apply(self, x: FloatArray, scene: Scene, past: Past) -> FloatArray:
@@ -211,7 +211,7 @@ class GSensitivity(Effect):
 class Offset(Effect):
     """Output at zero input."""
 
-    constant: Triple = ZERO  # at the reference temperature, rad/s or m/s2
+    constant: Triple = ZERO  # offset at the reference temperature, rad/s or m/s2
     # coefficients of D, D^2, ..., rad/s or m/s2 per K^k
     per_k: Powers = field(default_factory=lambda: np.zeros((0, 3)))
 
@@ -291,7 +291,7 @@ class PowerOnTransient(Effect):
 
 @effect
 class ThermalHysteresis(Effect):
-    """Difference of the offset between warming and cooling."""
+    """Difference between the offsets while warming and while cooling."""
 
     amplitude: Triple  # half the width of the loop, rad/s or m/s2
     play_k: Annotated[float, Least(1e-9)] = 2.0  # half-width of the play, K
@@ -383,10 +383,10 @@ class BiasInstability(Effect):
 class Amplifier(Effect):
     """Gain and rails."""
 
-    gain: float = 1.0  # output per output of the sensor
+    gain: float = 1.0  # amplifier output per sensor output
     null: float = 0.0  # output at zero signal
     low: AnyNumber = -math.inf  # lower rail (infinite: no limit)
-    high: AnyNumber = math.inf  # upper rail
+    high: AnyNumber = math.inf  # upper rail (infinite: no limit)
 
     def __post_init__(self) -> None:
         if not (self.gain > 0.0 and self.low < self.null < self.high):
@@ -454,7 +454,7 @@ def difference_equation(cutoff_hz: float, quality: float, step_s: float) -> tupl
     return b, np.array([1.0, -float(np.trace(e)), float(np.linalg.det(e))])
 
 
-# ---- Sampling: channel i is taken at t_0 + (j / f) / (1 + c) + d_i + jitter_j
+# ---- Sampling: channel i is sampled at t_0 + (j / f) / (1 + c) + d_i + jitter_j
 
 Averaging = Literal["instant", "interval"]
 
@@ -463,7 +463,7 @@ Averaging = Literal["instant", "interval"]
 class Sampling(Effect):
     """Clock of the device and timing of its converters."""
 
-    # nominal sample rate, Hz, or None for the samples of the motion, moved by jitter, clock error and delays
+    # nominal sample rate, Hz, or None for the samples of the motion, shifted by jitter, clock error and delays
     sample_rate_hz: Annotated[float | None, Least(1e-9)] = None
     clock_error: Annotated[float, Least(-0.5)] = 0.0  # c, relative (positive if the clock runs fast)
     jitter_s: Annotated[float, Least(0.0)] = 0.0  # standard deviation of the time of a sample, s
@@ -503,7 +503,7 @@ def sampled(
 ) -> FloatArray:
     """Return a signal at other times, with a cubic spline.
 
-    With averaging over the interval since the previous sample, x contains the means over the steps of the motion.
+    If the device averages over the interval since the previous sample, x contains the means over the steps of the motion.
     """
     from scipy.interpolate import CubicSpline
 
@@ -538,7 +538,7 @@ class Adc(Effect):
     """Converter of a triad."""
 
     bits: Annotated[int, Least(1)]  # width of a code
-    reference: Annotated[float, Least(1e-300)]  # reference, in the unit of the preceding stage
+    reference: Annotated[float, Least(1e-300)]  # reference value, in the unit of the preceding stage
     signed: bool = True  # codes from -2^(bits - 1) to 2^(bits - 1) - 1, or from 0 to 2^bits - 1 if not signed
     rounding: Rounding = "nearest"
     inl_lsb: Triple = ZERO  # height of the bow of the integral non-linearity, steps
@@ -570,11 +570,11 @@ class Adc(Effect):
 
 
 def rounded(steps: FloatArray, rounding: Rounding) -> FloatArray:
-    """Return steps rounded to whole steps."""
+    """Return values in steps, rounded to whole steps."""
     return {"nearest": np.rint, "floor": np.floor, "toward_zero": np.trunc}[rounding](steps)
 
 
-# ---- Thermometer: felt' = (T + s (1 - exp(-t / lag)) - felt) / lag, exact for a straight T
+# ---- Thermometer: felt' = (T + s (1 - exp(-t / lag)) - felt) / lag, exact for a linear T
 
 
 @effect
@@ -585,7 +585,7 @@ class Thermometer(Effect):
     lag_s: Annotated[float, Least(0.0)] = 0.0  # time constant, s (0: no lag)
     self_heating_c: float = 0.0  # settled self-heating, K
     noise_c: Annotated[float, Least(0.0)] = 0.0  # standard deviation of a sample, K
-    step_c: Annotated[float, Least(0.0)] = 0.0  # step of the reading, K (0: no steps)
+    step_c: Annotated[float, Least(0.0)] = 0.0  # step size of the reading, K (0: no steps)
     zero_c: float = 0.0  # temperature of code 0, degC
 
     def shown(self, temp_c: FloatArray, rng: np.random.Generator) -> FloatArray:
@@ -624,7 +624,7 @@ class Thermometer(Effect):
 
 @effect
 class SensorChain(Effect):
-    """Triad of sensors of the same kind. Its fields are the effects in the order in which they apply, None if switched off."""
+    """Triad of sensors of the same kind. Its fields are the effects in the order in which they apply, or None if switched off."""
 
     unit: str  # unit of the reading: count, v, dps, rad/s, g, m/s2
     lever_arm: LeverArm | None = None
@@ -667,7 +667,7 @@ class SensorChain(Effect):
 
     @property
     def forward_matrix(self) -> FloatArray:
-        """Unit of the reading per rad/s or m/s2 of each case axis at the reference temperature, shape (3, 3)."""
+        """Forward matrix at the reference temperature, unit of the reading per rad/s or m/s2 along each case axis, shape (3, 3)."""
         return np.asarray(self.gain * self.scale.matrix)
 
     @property

@@ -1,8 +1,8 @@
 """DeviceModel: physical model of a device (two sensor chains, a board thermometer and a clock), and its file.
 
 No matrix is inverted here, because the correction that undrift fits uses other equations. device.json contains an object of kind
-"undrift.device", format 1. Its keys are the names of the fields, in SI units, and all of them are required. null is an effect that
-is switched off. Infinite numbers are "inf" or "-inf", as JSON has no infinity. Numbers are exact to the last bit.
+"undrift.device", format 1. Its keys are the names of the fields, in SI units, and all of them are required. The value null means an
+effect that is switched off. Infinite numbers are "inf" or "-inf", as JSON has no infinity. Numbers are exact to the last bit.
 """
 
 from dataclasses import dataclass, field
@@ -26,7 +26,7 @@ class DeviceModel(Effect):
     sampling: Sampling = field(default_factory=Sampling)
     reference_temp_c: float = 25.0  # temperature of the offsets, degC
     name: str = ""  # kind of device
-    # reliability of its numbers: note, found, calc, known, known-low, assumed, or "drawn" or "fitted" for a unit
+    # reliability of its numbers: note, found, calc, known, known-low, assumed, or for a unit "drawn" or "fitted"
     source_tag: str = "assumed"
 
 
@@ -41,10 +41,10 @@ def read_device(path: Path | str) -> DeviceModel:
 
 
 def device_json(device: DeviceModel) -> dict[str, Any]:
-    """Return a device as plain values for JSON."""
+    """Return the plain values of a device for JSON."""
     return dict(codec.tree_of(device))
 
 
 def device_from_json(content: object) -> DeviceModel:
-    """Return the device of plain values."""
+    """Return a device from plain values."""
     return codec.value_of(DeviceModel, content, "device")

@@ -52,7 +52,7 @@ class TriadGrade:
 
     unit: str  # unit of the reading
     sensitivity: float  # nominal sensitivity of the sensor, output unit per rad/s or m/s2
-    sensitivity_sd: float  # sensitivity, relative
+    sensitivity_sd: float  # relative error of the sensitivity
     misalignment_sd: float  # angle of each axis about each perpendicular axis, rad
     nonlinearity_sd: float = 0.0  # quadratic deviation at full scale, relative to full scale
     offset_sd: float  # rad/s or m/s2
@@ -65,14 +65,14 @@ class TriadGrade:
     warm_up_sd: float = 0.0  # amplitude of the warm-up, rad/s or m/s2
     warm_up_s: float = 600.0  # time constant of the warm-up, s
     hysteresis_sd: float = 0.0  # amplitude of the hysteresis, rad/s or m/s2
-    lever_arm_sd: float = 0.0  # each coordinate of each sensor, m
+    lever_arm_sd: float = 0.0  # coordinate of each sensor along each axis, m
     random_walk: float  # white noise, rad/s/sqrt(Hz) or m/s2/sqrt(Hz)
     instability: float = 0.0  # B, rad/s or m/s2
     bias_walk: float = 0.0  # rad/s/sqrt(s) or m/s2/sqrt(s)
     full_scale: float = math.inf  # range, rad/s or m/s2, to which non-linearity and rate drift are relative
     amplifier: Amplifier | None = None  # equal for all units
     cutoff_hz: float | None = None  # cut-off of the Sallen-Key low-pass, or None without low-pass
-    part_sd: float = 0.0  # resistors and capacitors of the low-pass, relative
+    part_sd: float = 0.0  # relative errors of resistors and capacitors of the low-pass
     adc: Adc | None = None  # equal for all units
 
 
@@ -86,7 +86,7 @@ class Grade:
     thermometer: Thermometer = field(default_factory=lambda: Thermometer(noise_c=0.05, step_c=0.125))
     trim_error_sd: float = 0.0  # standard deviation of the thermometer's trim error, K
     sampling: Sampling = field(default_factory=Sampling)  # equal for all units
-    limit_sd: float = math.inf  # limit of the spread, standard deviations
+    limit_sd: float = math.inf  # limit of the spread, in standard deviations
     name: str = ""  # kind of device
     source_tag: str = "assumed"  # reliability of the numbers
 
@@ -100,7 +100,7 @@ ONE_SIDED = math.sqrt(2.0)  # ratio of a data sheet's density to the random walk
 UNITS = {"dps": DPS, "g": G, "mg": MG, "ug": 1e-6 * G, "floor": FLOOR, "one_sided": ONE_SIDED}
 GRADES = ("consumer", "industrial", "wearable")
 _BOOK: dict[str, Any] = tomllib.loads(Path(__file__).with_name("presets.toml").read_text(encoding="utf-8"))
-# numbers of the digital parts, each ending with its tag, by part and side
+# numbers of the digital parts, each with its tag at the end, by part and triad
 SHEETS: dict[str, dict[str, tuple[Any, ...]]] = {
     name: {side: tuple(_BOOK["sheets"][side][name]) for side in ("gyro", "accel")}
     for name in _BOOK["sheets"]["gyro"]
@@ -110,7 +110,7 @@ PRESETS: tuple[str, ...] = ("enc03j_3031", *SHEETS)
 
 
 def without_assumed(grade: Grade) -> Grade:
-    """Return the spread of a preset without the errors whose size is assumed; the draws of all other errors stay the same."""
+    """Return the spread of a preset without the errors whose size is assumed. The draws of all other errors do not change."""
     sides: dict[str, TriadGrade] = {}
     for side, triad in (("gyro", grade.gyro), ("accel", grade.accel)):
         figures = _BOOK["assumed"][side].get(grade.name, ())
@@ -187,7 +187,7 @@ def preset(name: str) -> DeviceModel:
 
 
 def random_device(rng: np.random.Generator, *, grade: str | Grade = "consumer", serial: str = "") -> DeviceModel:
-    """Draw one unit of a production run.
+    """Draw one unit of a production run at random.
 
     Parameters
     ----------
@@ -225,7 +225,7 @@ def random_device(rng: np.random.Generator, *, grade: str | Grade = "consumer", 
         stream = streams.of(effect)
         if math.isinf(chosen.limit_sd):
             return stream.normal(0.0, sd, shape)
-        low = float(ndtr(-chosen.limit_sd))  # draws within the limit, with the inverse of the distribution
+        low = float(ndtr(-chosen.limit_sd))  # draws within the limit, from the inverse of the distribution function
         return sd * np.asarray(ndtri(stream.uniform(low, 1.0 - low, shape)))
 
     device = replace(device_of(chosen, draw, serial), source_tag="drawn")
@@ -253,7 +253,7 @@ def typical_device(grade: Grade, *, serial: str = "typical") -> DeviceModel:
 
 
 def device_of(grade: Grade, draw: Draw, serial: str) -> DeviceModel:
-    """Return a device with errors from a function."""
+    """Return a device whose errors are returned by a function."""
     trim = float(draw("thermometer_trim", grade.trim_error_sd, (1,))[0]) if grade.trim_error_sd > 0.0 else 0.0
     thermometer = grade.thermometer
     return DeviceModel(

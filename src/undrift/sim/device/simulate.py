@@ -4,8 +4,8 @@ The effects are applied in the order of ``sim/device/effects.py``. Each effect m
 contribution, so that truth plus contributions is the reading. The input of a gyroscope that averages between samples is the
 rotation vector of each step, divided by its duration, which includes coning.
 
-Each effect has its own generator, seeded with (root, crc32 of its name), so that an additional effect does not change the noise of
-the others. The root is 128 random bits from the caller's generator.
+Each effect has its own generator, seeded with (root, crc32 of its name), so an additional effect does not change the noise of the
+others. The root is 128 random bits from the caller's generator.
 """
 
 import zlib
@@ -73,7 +73,7 @@ class SimulatedTriad:
         return self.contributions.get(effect, np.zeros_like(self.true))
 
     def before(self, effect: str) -> FloatArray:
-        """Return the signal before an effect, (M, 3), or the last signal if the device does not have the effect."""
+        """Return the signal before an effect, (M, 3), or the final signal if the device does not have the effect."""
         names = list(self.contributions)
         before = names[: names.index(effect)] if effect in names else names
         return self.true + sum(self.contributions[name] for name in before if name != "adc")
@@ -81,7 +81,7 @@ class SimulatedTriad:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Simulated:
-    """A record and the truth about it, M samples."""
+    """A record and its truth, M samples."""
 
     record: Record  # readings of the device, NaN if the motion is unknown
     gyro: SimulatedTriad
@@ -181,7 +181,7 @@ def _triad(
     model: DeviceModel, name: Literal["gyro", "accel"], true: FloatArray, scene: Scene, streams: Streams,
     ticks: tuple[FloatArray, FloatArray],
 ) -> tuple[FloatArray, SimulatedTriad]:  # fmt: skip
-    """Return the readings of a triad and the truth about them."""
+    """Return the readings of a triad and their truth."""
     chain: SensorChain = getattr(model, name)
     clock, (stamped, taken_s), pasts = model.sampling, ticks, streams.pasts(chain, name)
 
@@ -213,14 +213,14 @@ def _triad(
 
 
 def _bridged(motion: Motion) -> Motion:
-    """Return a motion with linear interpolation in its gaps, so that filters stay finite. The readings are masked later."""
+    """Return a motion with linear interpolation in its gaps, so that filter outputs stay finite. The readings are masked later."""
 
     def filled(x: FloatArray) -> FloatArray:
         return bridged(motion.time, x) if np.isfinite(x).all(axis=1).any() else x
 
     rate, swing = filled(motion.rate_b), motion.angular_acceleration_b
     if np.isnan(rate).any():
-        raise InputError("motion: all samples are unknown. Use poses that are not only gaps.")
+        raise InputError("motion: all samples are unknown. Use poses that contain more than gaps.")
     return replace(
         motion,
         rate_b=rate,
@@ -230,16 +230,16 @@ def _bridged(motion: Motion) -> Motion:
     )
 
 
-# ---- Readings chunk by chunk: with the device's clock in error by c, reading k is taken at k / (rate (1 + c)).
+# ---- Readings chunk by chunk: if the device's clock has the relative error c, reading k is taken at k / (rate (1 + c)).
 
-# Surroundings at times (n,), s, with the step before each: rate, angular acceleration, force, mean rate over the step (n, 3), and
+# Environment at times (n,), s, with the step before each: rate, angular acceleration, force, mean rate over the step (n, 3), and
 # the temperature of the board (n,)
 Seen = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 Surroundings = Callable[[FloatArray, float], Seen]
 
 
 class SimulatedDevice:
-    """A device that is read at even steps of its own clock. The state of its effects is carried from one chunk to the next."""
+    """A device that is read at even steps of its own clock. The state of its effects is passed from one chunk to the next."""
 
     def __init__(
         self, model: DeviceModel, surroundings: Surroundings, seed: int, start_s: float, *, power_on_s: float = 3600.0
@@ -257,7 +257,7 @@ class SimulatedDevice:
         self._thermometer = Past(streams.of("thermometer"))
 
     def read(self, now: float) -> tuple[IntArray, FloatArray]:
-        """Return number and values of the readings up to now: (n,), (n, 7) of both triads and the thermometer."""
+        """Return numbers and values of the readings up to the current time: (n,), (n, 7) of both triads and the thermometer."""
         counts = np.arange(self._next, int(now / self.step_s + 1e-6) + 1)
         if not counts.size:
             return counts, np.empty((0, 7))

@@ -91,13 +91,13 @@ def _model(chain: SensorChain, warmth: float, unit_out: str) -> TriadModel:
 
 
 def _warmed(chain: SensorChain, warmth: float) -> tuple[FloatArray, FloatArray]:
-    """Return the factor of the sensitivity and the offset at a temperature, (3,)."""
+    """Return the sensitivity factor and the offset at a temperature, (3,) each."""
     factor = chain.thermal_scale.factor(warmth) if chain.thermal_scale else np.ones(3)
     return factor, chain.offset.at(warmth) if chain.offset else np.zeros(3)
 
 
 def _measured(chain: SensorChain, true: FloatArray, axis: int, warmth: float) -> FloatArray:
-    """Return the rate that offset(T) and M(T) make of true rates about one axis, rad/s, shape (K,)."""
+    """Return the rates that offset(T) and M(T) compute for true rates about one axis, rad/s, shape (K,)."""
     x: FloatArray = true[:, None] * chain.scale.matrix[:, axis]
     x = chain.nonlinearity.bent(x) if chain.nonlinearity else x
     factor, offset = _warmed(chain, warmth)

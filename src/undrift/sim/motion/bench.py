@@ -67,7 +67,7 @@ def gain_of(errors: BenchErrors, streams: Streams) -> float:
 BenchKind = Literal["six_face", "rate_table", "bench", "ferraris", "multi_position"]
 AXES: tuple[Axis, ...] = ("x", "y", "z")
 UPS: tuple[Face, ...] = ("+x", "+y", "+z")
-SIT_TO_STAND_RATES = tuple(rate * RADIAN_PER_DEGREE for rate in range(10, 91, 5))  # the note's list, one way round
+SIT_TO_STAND_RATES = tuple(rate * RADIAN_PER_DEGREE for rate in range(10, 91, 5))  # the note's list, in one direction
 
 
 HAND_ANGLE = 2.0 * math.pi  # angle of a turn by hand, rad
@@ -111,7 +111,7 @@ def bench_motion(kind: BenchKind, *, rng: np.random.Generator, settings: BenchSe
 def rest_on_faces(
     script: Script, settings: BenchSettings, faces: tuple[Face, ...], draw: np.random.Generator | None = None
 ) -> None:
-    """Rest with each face up in turn, off level by a random tilt."""
+    """Rest with each face up in turn, with a random tilt from level."""
     for face in faces:
         up, tilt = unit_vector(face), draw.normal(0.0, settings.errors.face_tilt, 3) if draw else np.zeros(3)
         script.lay(facing(script.q, up + np.cross(tilt, up)), settings.move_s)
@@ -126,7 +126,7 @@ def steady_rates(script: Script, settings: BenchSettings, streams: Streams) -> N
     table = settings.errors
     mount, bearing, motor, servo = (streams.of(name) for name in ("mount", "bearing", "motor", "servo"))
     off_level, gain = level_of(table, streams), gain_of(table, streams)
-    bearing.normal(size=2), motor.normal()  # level and gain are the first draws of these two
+    bearing.normal(size=2), motor.normal()  # level and gain are the first draws of these two generators
     for axis, face in zip(AXES, UPS, strict=True):
         table_axis = turned(unit_vector(axis), mount.normal(0.0, table.mount_tilt, 3))
         level = facing(script.q, table_axis)  # orientation with the table's axis vertical, then tilted
@@ -176,7 +176,7 @@ def free_poses(script: Script, settings: BenchSettings, draw: np.random.Generato
     """Add rests in free poses, the first of which is long."""
     for number in range(settings.poses):
         up = draw.normal(size=3)
-        # about the vertical
+        # heading about the vertical
         twist = turn_quaternion(up / np.linalg.norm(up), np.array(draw.uniform(-math.pi, math.pi)))
         q = facing(script.q, up)
         script.lay(quaternion_product(q, twist) if script.samples else q, settings.move_s)

@@ -49,7 +49,7 @@ class CourseTerm(Protocol):
 
 
 Course = tuple[CourseTerm, ...]
-EVEN_S = 1e-12  # distance of an instant from an even grid, s
+EVEN_S = 1e-12  # largest distance of a time from an even grid, s
 
 
 def course_at(course: Course, time: FloatArray) -> FloatArray:
@@ -62,7 +62,7 @@ def course_at(course: Course, time: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """A smooth change: the quintic of least jerk, 10 s^3 - 15 s^4 + 6 s^5 of the local time s."""
+    """A smooth change: the minimum-jerk quintic 10 s^3 - 15 s^4 + 6 s^5 of the local time s."""
 
     start_s: float  # s
     duration_s: float  # s
@@ -94,9 +94,9 @@ class ViaPoint:
     """
 
     start_s: float  # s
-    there_s: float  # Durations before and after the via-point, s
+    there_s: float  # durations before and after the via-point, s
     back_s: float
-    there: float  # Changes before and after it, rad or m
+    there: float  # changes before and after the via-point, rad or m
     back: float
 
     @property
@@ -125,14 +125,14 @@ def _bend(s: FloatArray, duration_s: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class Sway:
-    """A sum of sinusoids under one envelope."""
+    """A sum of sinusoids with a common envelope."""
 
     amplitudes: tuple[float, ...]  # rad or m
     frequencies_hz: tuple[float, ...]  # Hz
     phases: tuple[float, ...]  # rad
     start_s: float  # start of the term, s
     stop_s: float
-    swell_s: float  # Time to full amplitude, and back to none, s
+    swell_s: float  # rise time to full amplitude, and fall time to zero, s
 
     def at(self, time: FloatArray) -> FloatArray:
         """Return value, first and second derivative: time (N,) s -> (3, N)."""
@@ -155,12 +155,12 @@ class Sway:
 
 @dataclass(frozen=True, slots=True)
 class Burst:
-    """A decaying knock: A (u/T)^3 exp(3 - 3 u/T) sin(w u), u the time since it came."""
+    """A decaying impact: A (u/T)^3 exp(3 - 3 u/T) sin(w u), with u the time since its start."""
 
     amplitude: float  # A, m
     frequency_hz: float  # w / 2 pi, Hz
-    start_s: float  # When it comes, s
-    peak_s: float  # T, from there to the peak of the envelope, s
+    start_s: float  # start of the impact, s
+    peak_s: float  # T, time from the start to the peak of the envelope, s
 
     def at(self, time: FloatArray) -> FloatArray:
         """Return value, first and second derivative: time (N,) s -> (3, N)."""
@@ -188,10 +188,10 @@ class Motion:
     # a gyroscope that averages between samples
     mean_rate_b: Annotated[FloatArray, Shape("n", 3)]
     force_b: Annotated[FloatArray, Shape("n", 3)]  # (N, 3), specific force at the sample, m/s2
-    gravity_m_s2: float  # Gravity in it, m/s2
+    gravity_m_s2: float  # gravity of the motion, m/s2
     stills: tuple[Still, ...] = ()  # stills, exact to the sample
     turns: tuple[Turn, ...] = ()  # turns with a known rate or angle
-    moving: Annotated[FloatArray, Shape("n")]  # (N,), 1 where the device moved, else 0
+    moving: Annotated[FloatArray, Shape("n")]  # (N,), 1 while the device moves, otherwise 0
     # (N, 3), angular acceleration, rad/s2, or None if it is unknown
     angular_acceleration_b: Annotated[FloatArray | None, Shape("n", 3)] = None
     # (N,), 1 for samples with known motion, otherwise 0 (all 1 by default)
@@ -212,7 +212,7 @@ class Motion:
 
 
 def after_rest(motion: Motion, before_s: FloatArray) -> Motion:
-    """Return a motion without labels behind a rest in its first row, of samples so long before the first, s."""
+    """Return a motion without labels, after a rest at its first row. The times of the rest are s before the first sample."""
     names = ("q_nb", "rate_b", "mean_rate_b", "force_b", "moving", "angular_acceleration_b")
     columns: dict[str, Any] = {
         name: np.concatenate((np.repeat(x[:1], len(before_s), axis=0), x))
@@ -253,7 +253,7 @@ HAND = Polynomial([0.0, 0.0, 0.0, 30.0, -115.0, 186.0, -140.0, 40.0])
 
 @dataclass(frozen=True, slots=True)
 class UnevenAngle:
-    """The angle of a dwell whose rate ripples once a turn and settles late.
+    """The angle of a dwell whose rate has a ripple per turn and settles late.
 
     Its rate is w (1 + a sin(p + w t) + c exp(-t / T)), t = s times the duration.
     """
@@ -261,8 +261,8 @@ class UnevenAngle:
     turn_rate: float  # w, rad/s
     duration_s: float  # duration of the dwell, s
     ripple: float  # a, relative
-    azimuth: float  # p, azimuth of the table at the start of the dwell against the ripple's zero, rad
-    excess: float  # c, relative, at the start of the dwell
+    azimuth: float  # p, azimuth of the table at the start of the dwell relative to the ripple's zero, rad
+    excess: float  # c, relative rate error at the start of the dwell
     settle_s: float  # T, s
 
     def at(self, s: FloatArray | float) -> FloatArray:
@@ -295,13 +295,13 @@ class TurnSegment:
 
     start: int  # Samples
     stop: int  # Samples
-    q: FloatArray  # (4,), orientation at its first instant
+    q: FloatArray  # (4,), orientation at its start
     axis_b: FloatArray  # (3,), unit vector
     angle: Angle
 
 
 class Script:
-    """Writes a motion piece by piece."""
+    """Builder that writes a motion piece by piece."""
 
     def __init__(self, sample_rate_hz: float, up_b: FloatArray) -> None:
         self.sample_rate_hz = sample_rate_hz
@@ -316,12 +316,12 @@ class Script:
         return self.pieces[-1].stop if self.pieces else 0
 
     def still(self, duration_s: float, face: Face | None = None) -> None:
-        """Stand still."""
+        """Add a still."""
         start, stop = self._turn(duration_s, np.array([1.0, 0.0, 0.0]), REST)
         self.stills.append(Still(start=start + (start > 0), stop=stop, face=face))
 
     def lay(self, q: FloatArray, duration_s: float) -> None:
-        """Turn smoothly, by the shortest way, to an orientation, or begin there: q (4,)."""
+        """Turn smoothly, along the shortest path, to an orientation q (4,), or begin with it."""
         if not self.samples:
             self.q = q
             return
@@ -332,7 +332,7 @@ class Script:
         self._turn(duration_s, axis, SMOOTH * (2.0 * np.arctan2(sine, step[0])))
 
     def hand_turn(self, axis: Axis, angle: float, duration_s: float, axis_b: FloatArray) -> None:
-        """Turn by hand through an angle, at a rate that is anything but constant: axis_b (3,)."""
+        """Turn by hand through an angle about axis_b (3,), at an uneven rate."""
         start, stop = self._turn(duration_s, axis_b, HAND * (angle))
         self.turns.append(Turn(start=start + 1, stop=stop + 1, axis=axis, angle=angle))
 
@@ -412,7 +412,7 @@ def facing(q: FloatArray, up_b: FloatArray) -> FloatArray:
     now = rotate(quaternion_conjugate(q), np.array([0.0, 0.0, 1.0]))
     axis = np.cross(up, now)
     sine = float(np.linalg.norm(axis))
-    if sine < 1e-9:  # same way or upside down: turn about any axis across
+    if sine < 1e-9:  # parallel or opposite: turn about any perpendicular axis
         axis = np.cross(now, np.eye(3)[int(np.argmin(np.abs(now)))])
     angle = np.arctan2(sine, float(up @ now))
     return quaternion_product(q, turn_quaternion(axis / np.linalg.norm(axis), np.array(angle)))

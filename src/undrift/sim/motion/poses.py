@@ -1,9 +1,9 @@
 """Convert camera poses to the motion of an ideal sensor at the body's origin.
 
 Each stretch between long gaps is processed separately. Short gaps are bridged with a cubic. A low-pass without delay is applied in
-n to the position and to the quaternion without sign jumps. The rotation into b is last. Then a quintic spline is fitted to each
-coordinate. Position p(t) and the four components s(t) of a quaternion are splines, and the orientation is s over its length. All
-quantities follow in closed form::
+n to the position and to the quaternion without sign jumps. The rotation into b is the last step. Then a quintic spline is fitted to
+each coordinate. Position p(t) and the four components s(t) of a quaternion are splines, and the orientation is s over its length.
+All quantities follow in closed form::
 
     q = s / |s|
     w = 2 Im(conj(s) s') / |s|^2                                       angular rate of b against n, seen in b
@@ -65,12 +65,12 @@ FEWEST = 12  # smallest number of poses in a stretch, twice the minimum for a qu
 
 
 GAP_S = 0.1  # longest gap that is bridged
-TRIM_S = 0.2  # left out at each end of a longer gap
-END_TRIM_S = 0.1  # left out at the ends of the recording
+TRIM_S = 0.2  # time omitted at each end of a longer gap
+END_TRIM_S = 0.1  # time omitted at the ends of the recording
 
 
 def find_stretches(time: FloatArray, visible: BoolArray) -> list[tuple[IntArray, float, float]]:
-    """Return the stretches between long gaps: rows (K,) that were seen, from where to where the motion is known, s."""
+    """Return the stretches between long gaps: rows (K,) with poses, and start and end of the known motion, s."""
     rows = np.flatnonzero(visible)
     breaks = np.flatnonzero(np.diff(time[rows]) > GAP_S * (1.0 + 1e-9)) + 1
     spans = []
@@ -92,12 +92,12 @@ def find_stretches(time: FloatArray, visible: BoolArray) -> list[tuple[IntArray,
 
 # ---- Low-pass
 
-ORDER = 4  # in each direction: a quarter of the cut-off passes within 1e-5, so a signal is not booked as scale factor
-_PAD = 3.0  # periods of the cut-off mirrored at each end
+ORDER = 4  # in each direction: a quarter of the cut-off passes within 1e-5, so no loss looks like a scale factor
+_PAD = 3.0  # number of periods of the cut-off that are mirrored at each end
 
 
 def zero_phase(x: FloatArray, cutoff_hz: float, *, sample_rate_hz: float, order: int = ORDER) -> FloatArray:
-    """Return the columns of x low-pass filtered without delay."""
+    """Return the columns of x after a low-pass without delay."""
     from scipy.signal import butter, sosfiltfilt
 
     design_hz = cutoff_hz / (math.sqrt(2.0) - 1.0) ** (0.5 / order)
@@ -114,16 +114,16 @@ def zero_phase(x: FloatArray, cutoff_hz: float, *, sample_rate_hz: float, order:
 
 # ---- Poses to motion
 
-_EVEN = 0.02  # part of a step: poses further from their even grid are interpolated before filtering
+_EVEN = 0.02  # share of a step: poses further from their even grid are interpolated before filtering
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseSettings:
     """Settings of the conversion from poses to a motion."""
 
-    # cut-off of the orientation's low-pass, Hz (a lower one reduces camera noise and fast motion, None: no filter)
+    # cut-off of the orientation's low-pass, Hz (a lower cut-off reduces camera noise and fast motion; None: no filter)
     cutoff_hz: float | None = 20.0
-    # cut-off of the position's low-pass, Hz, which is lower, as noise of the acceleration increases with frequency squared
+    # cut-off of the position's low-pass, Hz; it is lower because acceleration noise increases with frequency squared
     position_cutoff_hz: float | None = 10.0
     order: int = ORDER  # order of the Butterworth low-pass, per direction (a higher order is sharper and rings longer)
 
@@ -131,7 +131,7 @@ class PoseSettings:
 class PosePiece(NamedTuple):
     """Splines through a stretch of poses between long gaps."""
 
-    start_s: float  # the motion is known from here
+    start_s: float  # start of the known motion, s
     stop_s: float
     quaternion: "BSpline"
     position: "BSpline | None"  # m, frame n
@@ -139,10 +139,10 @@ class PosePiece(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PoseSpline:
-    """A motion that can be evaluated at any times."""
+    """A motion that can be evaluated at any time."""
 
     pieces: tuple[PosePiece, ...]  # in order of time
-    moving_time: FloatArray  # (K,), times of the marks of motion, s
+    moving_time: FloatArray  # (K,), times of the motion marks, s
     moving: FloatArray  # (K,), 1 in motion (all 1 without marks)
 
     @property
@@ -162,7 +162,7 @@ class PoseSpline:
                 push = piece.position(time[rows], nu=2) + np.array([0.0, 0.0, gravity_m_s2])
                 force[rows] = rotate(quaternion_conjugate(q[rows]), push)
         mean = mean_rate(time, q, rate[0])
-        first = np.flatnonzero((valid[1:] > 0.0) & (valid[:-1] == 0.0)) + 1  # no step leads to the first after a gap
+        first = np.flatnonzero((valid[1:] > 0.0) & (valid[:-1] == 0.0)) + 1  # no step before a gap's end
         mean[first] = rate[first]
         nearest = np.searchsorted(0.5 * (self.moving_time[1:] + self.moving_time[:-1]), time)
         return Motion(
@@ -228,11 +228,11 @@ class OpticsSettings:
     """Errors of cameras."""
 
     sample_rate_hz: float = 100.0  # poses per second
-    delay_s: float = 0.0  # a pose stamped t was taken at t - delay_s
+    delay_s: float = 0.0  # a pose with time stamp t was taken at t - delay_s
     angle_sd: float = 3e-4  # noise about each body axis, rad
     position_sd: float = 2e-4  # noise of each coordinate, m
     gaps: int = 2  # number of gaps while the device moves
-    mount_sd: float = 0.0  # misalignment of the marker body against the case about each axis, rad
+    mount_sd: float = 0.0  # misalignment of the marker body relative to the case about each axis, rad
     slow_sd: float = 0.0  # first-order Gauss-Markov error about each body axis, rad
 
 

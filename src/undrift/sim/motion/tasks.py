@@ -4,12 +4,12 @@ Three angles and three coordinates are courses, which are sums of terms with ana
 
     R_nb = Rz(yaw) Ry(pitch) Rx(roll)                     x forward, y left, z up; pitch forward is positive
     w_b  = (roll' - yaw' sin p,  pitch' cos r + yaw' cos p sin r,  yaw' cos p cos r - pitch' sin r),   w_b' from it
-    p    = c + R_nb r                                     c the coordinates, r the device's arm from their reference point
+    p    = c + R_nb r                                     c coordinates, r lever arm of the device from their reference point
     f_b  = R_nb^T (c'' + g z) + w' x r + w x (w x r)
 
-A task can be evaluated at any times, so device and optics each use their own sample times.
+A task can be evaluated at any time, so device and optics each use their own sample times.
 
-The tasks. Each performance draws its parameters at random:
+Tasks (each performance draws its parameters at random):
 
 ``sit_to_stand``   The trunk leans forward through a via-point, returns and sways, at up to 90 deg/s.
 ``step``           Rising a step, with lean, shift of weight, rise and impact of each foot, at up to 45 deg/s.
@@ -25,12 +25,13 @@ noise after a first-order low-pass with the time constant tau_n::
 
     theta / noise = 1 / ((1.147 h/g) s^2 - 1 + (kp + kd s + ki / s) exp(-s tau)) / (1 + tau_n s),   s = 2 pi j f
 
-The process is a sum of sinusoids, one per geometric frequency band, with Rayleigh amplitudes and random phases, scaled to an rms.
+The process is simulated as a sum of sinusoids, one per geometric frequency band, with Rayleigh amplitudes and random phases, scaled
+to an rms.
 
 Subjects have an age, a height, a category and habits, which are a separate root of random numbers. A quantity of a performance is
 drawn again until it is within its bounds::
 
-    x = mean + sd (0.8 h + 0.6 z)       h the subject's habit for this quantity, z new each time, 0.8^2 + 0.6^2 = 1
+    x = mean + sd (0.8 h + 0.6 z)       h the subject's habit for this quantity, z drawn each time, 0.8^2 + 0.6^2 = 1
 
 A category contains the mean, standard deviation, minimum and maximum of each quantity. A subject has the same habits h in every
 category. The defaults of ``Category`` are the numbers of level_2, the note's thirty subjects. They are assumed, except for three
@@ -70,22 +71,22 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
-    """A motion that can be asked at any instant."""
+    """A motion that can be evaluated at any time."""
 
     name: str  # name of the task
-    duration_s: float  # Length of a recording of it, s
-    moving_s: tuple[float, float]  # First and last instant of motion, s
+    duration_s: float  # duration of a recording of the task, s
+    moving_s: tuple[float, float]  # start and end of the motion, s
     roll: Course = ()  # Angles, rad
     pitch: Course = ()  # Angles, rad
     yaw: Course = ()  # Angles, rad
-    forward: Course = ()  # Coordinates in n of the point that ``arm_b`` starts from, m
+    forward: Course = ()  # coordinates in n of the point at which ``arm_b`` starts, m
     left: Course = ()
     up: Course = ()
-    # Device from that point, which is the device itself where it is zero, m
+    # position of the device relative to that point, m (zero: the point is the device)
     arm_b: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def at(self, time: FloatArray, gravity_m_s2: float) -> Motion:
-        """Return the motion at given instants: time (N,) s."""
+        """Return the motion at given times (N,), s."""
         roll, pitch, yaw = course_at(self.roll, time), course_at(self.pitch, time), course_at(self.yaw, time)
         q = self._orientation(roll[0], pitch[0], yaw[0])
         rate, spin_up = _euler_rate(roll, pitch, yaw)
@@ -134,7 +135,7 @@ def _euler_rate(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> tuple[F
     return rate, spin_up
 
 
-# ---- Sway of quiet stance: an inverted pendulum held up by a delayed controller and shaken by filtered noise.
+# ---- Sway of quiet stance: an inverted pendulum, stabilised by a delayed controller and disturbed by filtered noise.
 
 BAND_HZ = (0.015, 2.5)
 LINES = 48
@@ -150,13 +151,14 @@ PROPORTIONAL, DERIVATIVE, INTEGRAL = (
     0.05,
 )  # [known-low] 1.1-1.7; [known-low] 4-5 Nm s/deg over 649 Nm; [assumed]
 DELAY_S = 0.17  # [known-low]
-NOISE_S = 1.5  # time constant of the torque's noise [assumed] so that rate over angle comes out as 1.2 / 0.9 rad/s
+NOISE_S = 1.5  # time constant of the torque's noise [assumed] so that the ratio of rate to angle is 1.2 / 0.9 rad/s
 
 
 def sway_spectrum(
     frequency_hz: FloatArray, centre_height: float, kp: float = PROPORTIONAL, noise_s: float = NOISE_S
 ) -> FloatArray:
-    """Return the power spectral density (N,) of the angle, up to a constant, with the body's centre so high over the ankles, m."""
+    """Return the power spectral density (N,) of the angle, up to a constant, for the height of the body's centre over the ankles,
+    m."""
     s = 2.0j * math.pi * frequency_hz
     torque = (kp + DERIVATIVE * s + INTEGRAL / s) * np.exp(-s * DELAY_S)
     pendulum = GYRATION * centre_height / STANDARD_GRAVITY * s * s - 1.0
@@ -174,12 +176,12 @@ def draw_sway(draw: np.random.Generator, spectrum: Spectrum, *, rms: float, span
     return replace(plain, amplitudes=tuple((scale * amplitudes).tolist()))
 
 
-# ---- Categories of subjects: numbers of the tasks' models.
+# ---- Categories of subjects: parameters of the tasks' models.
 
 CategoryName = Literal["level_1", "level_2", "level_3", "level_4", "young", "elderly", "impaired", "parkinson"]
 DEFAULT: CategoryName = "level_2"
-Range = tuple[float, float, float]  # Lowest, mean, highest
-Spread = tuple[float, float, float, float]  # Mean, standard deviation, least, greatest
+Range = tuple[float, float, float]  # minimum, mean and maximum
+Spread = tuple[float, float, float, float]  # mean, standard deviation, minimum and maximum
 BELOW_ZERO = ("sitting_deg", "standing_deg", "upright_deg")  # quantities that may be
 
 
@@ -197,21 +199,21 @@ class Category:
     most_dps: tuple[float, float, float] = (90.0, 45.0, 5.0)
     # mean, standard deviation, minimum and maximum (by default the last two are 2.5 standard deviations from the mean)
     rise_s: Spread = (2.3, 0.5, 1.5, 4.0)  # duration of sit-to-stand, s
-    # instant at which the trunk turns back, share of the duration
+    # time at which the trunk turns back, share of the duration
     turn_share: Spread = (0.40, 0.05, 0.3, 0.5)
-    flexion_deg: Spread = (32.0, 7.0, 15.0, 50.0)  # At L5, deg
-    sitting_deg: Spread = (5.0, 5.0, -10.0, 20.0)  # First pitch, deg
-    standing_deg: Spread = (3.0, 3.0, -6.0, 12.0)  # last pitch, also for a step, deg
+    flexion_deg: Spread = (32.0, 7.0, 15.0, 50.0)  # peak pitch at L5, deg
+    sitting_deg: Spread = (5.0, 5.0, -10.0, 20.0)  # first pitch, deg
+    standing_deg: Spread = (3.0, 3.0, -6.0, 12.0)  # last pitch, also of a step, deg
     settling_ratio: Annotated[float, Gt(0.0)] = 1.0  # sway after rising, relative to level_2
-    step_s: Spread = (2.0, 0.4, 1.2, 3.2)  # Step: duration, s
-    lean_deg: Spread = (12.0, 4.0, 3.0, 25.0)  # Forward, deg
-    roll_deg: Spread = (5.0, 2.0, 1.0, 10.0)  # To one side, deg
-    # Quiet stance, eyes closed on foam: rms of pitch, roll and yaw, deg
+    step_s: Spread = (2.0, 0.4, 1.2, 3.2)  # duration of a step, s
+    lean_deg: Spread = (12.0, 4.0, 3.0, 25.0)  # forward lean in a step, deg
+    roll_deg: Spread = (5.0, 2.0, 1.0, 10.0)  # lateral lean in a step, deg
+    # quiet stance, eyes closed on foam: rms of pitch, roll and yaw, deg
     sway_deg: tuple[Spread, Spread, Spread] = ((0.9, 0.3, 0.3, 1.8), (0.6, 0.2, 0.2, 1.2), (0.4, 0.1, 0.1, 0.8))
-    upright_deg: Spread = (3.0, 2.0, -3.0, 9.0)  # Its pitch, deg
-    # stiffness in m g h, which sets the spectrum together with noise_s
+    upright_deg: Spread = (3.0, 2.0, -3.0, 9.0)  # mean pitch of quiet stance, deg
+    # stiffness in m g h, which determines the spectrum together with noise_s
     stiffness_mgh: Spread = (1.45, 0.08, 1.25, 1.6)
-    noise_s: Annotated[float, Gt(0.0)] = NOISE_S  # Time constant of the torque's noise, s
+    noise_s: Annotated[float, Gt(0.0)] = NOISE_S  # time constant of the torque noise, s
 
     def __post_init__(self) -> None:
         for name in Category.__dataclass_fields__:
@@ -230,7 +232,7 @@ CATEGORIES: dict[CategoryName, Category] = {
     cast(CategoryName, name): value_of(Category, entry, name)
     for name, entry in tomllib.loads(Path(__file__).with_name("categories.toml").read_text("utf-8")).items()
 }
-Kind: TypeAlias = CategoryName | Category  # by its name, or of a lab's own
+Kind: TypeAlias = CategoryName | Category  # named category, or a category of a laboratory
 
 
 def numbers_of(category: Kind) -> Category:
@@ -242,7 +244,7 @@ REACH_SD = 2.5  # default distance of minimum and maximum from the mean, standar
 
 
 def category_tree(name: str, table: dict[str, Any]) -> dict[str, Any]:
-    """Return all keys of a category. Keys that are missing in the table are from the category that it is ``like``."""
+    """Return all keys of a category. Missing keys are taken from the category named by ``like``."""
 
     def bounded(value: Any) -> Any:
         if not isinstance(value, list) or not all(isinstance(item, int | float) for item in value):
@@ -252,8 +254,8 @@ def category_tree(name: str, table: dict[str, Any]) -> dict[str, Any]:
     like = table.get("like", DEFAULT)
     if name in CATEGORIES or not name.isidentifier() or like not in CATEGORIES:
         raise InputError(
-            f"category.{name}: the name must be letters and digits other than {', '.join(CATEGORIES)}, and `like` one of these, "
-            f"got {name} like {like}. Rename it."
+            f"category.{name}: the name must consist of letters and digits and not be {', '.join(CATEGORIES)}, and `like` must be "
+            f"one of these, got {name} like {like}. Rename it."
         )
     values = {key: bounded(value) for key, value in table.items() if key != "like"}
     if isinstance(ages := values.get("age_years"), list) and len(ages) == 3:
@@ -261,23 +263,23 @@ def category_tree(name: str, table: dict[str, Any]) -> dict[str, Any]:
     return {**tree_of(CATEGORIES[like]), "label": name.replace("_", " "), **values}
 
 
-# ---- Subjects: who performs a task, and the two groups of thirty of the note's Table 2.
+# ---- Subjects: people who perform a task, and the two groups of thirty in the note's Table 2.
 
 Group = Literal["simulation", "testing"]
 GROUP_SIZE = 30  # Table 2 and the text: thirty subjects
-HABIT, TRIAL = 0.8, 0.6  # shares of a habit and of the day: a choice
+HABIT, TRIAL = 0.8, 0.6  # weights of the habit and of the individual performance, chosen
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Subject:
-    """One person."""
+    """A person who performs tasks."""
 
-    number: int  # In the group, from 1
+    number: int  # number in the group, from 1
     group: Group  # simulation or testing
     age_years: float  # Years
     height: float  # m
     habits: Streams  # random streams of the person's habits
-    category: Kind = DEFAULT  # Which numbers the performances are drawn with
+    category: Kind = DEFAULT  # category from whose numbers the performances are drawn
 
 
 TABLE_2: dict[
@@ -286,7 +288,7 @@ TABLE_2: dict[
     "simulation": ((45.0, 62.0, 84.0), (1.50, 1.66, 1.85)),
     "testing": ((45.0, 65.0, 83.0), (1.52, 1.67, 1.83)),
 }
-TYPICAL_HEIGHT = 1.665  # between the two groups' means, for performances without a subject
+TYPICAL_HEIGHT = 1.665  # mean of the two groups, for performances without a subject
 
 
 def cohort(group: Group, *, rng: np.random.Generator, category: Kind = DEFAULT) -> tuple[Subject, ...]:
@@ -327,7 +329,7 @@ class Performance:
 
     @property
     def category(self) -> Category:
-        """Numbers that performances are drawn with."""
+        """Category from whose numbers performances are drawn."""
         return numbers_of(self.subject.category if self.subject else DEFAULT)
 
     @property
@@ -363,7 +365,7 @@ def _bounded_normal(draw: np.random.Generator) -> float:
 TaskName = Literal["sit_to_stand", "posturography", "free", "step"]
 DEGREE = RADIAN_PER_DEGREE
 POSTUROGRAPHY_S = 50.0
-MOST_DRAWS = 1000  # most draws of a performance until it is within the bound of its category
+MOST_DRAWS = 1000  # largest number of draws until a performance is within the bound of its category
 # peak of the acceleration's spectrum over the sine's frequency, for an envelope that peaks at half a period
 LOUDEST = 1.385
 
@@ -392,7 +394,7 @@ def draw_task(
         if np.abs(task.at(np.arange(*task.moving_s, 0.02), STANDARD_GRAVITY).rate_b).max() <= most_dps * DEGREE:
             return task
     raise InputError(
-        f"{name}, {who.category.label}: no motion of {MOST_DRAWS} is below {most_dps:g} deg/s. Increase most_dps, "
+        f"{name}, {who.category.label}: none of {MOST_DRAWS} motions is below {most_dps:g} deg/s. Increase most_dps, "
         "or use longer durations or smaller angles."
     )
 
@@ -421,7 +423,7 @@ def _sit_to_stand(who: Performance, rest_s: float) -> Task:
     sitting = who.number("sit_to_stand first pitch", *numbers.sitting_deg) * DEGREE
     standing = who.number("sit_to_stand last pitch", *numbers.standing_deg) * DEGREE
     turn, stop = rest_s + flexion, rest_s + duration + who.draw.uniform(0.5, 1.5)
-    off = turn - 0.1  # the seat is left a little before the trunk turns back
+    off = turn - 0.1  # the person leaves the seat shortly before the trunk turns back
     return Task(
         name="sit_to_stand",
         duration_s=stop + rest_s,
@@ -453,7 +455,7 @@ def _step(who: Performance, rest_s: float) -> Task:
     duration = who.number("step duration", *numbers.step_s) * _slowness(who)
     lean = who.number("step lean", *numbers.lean_deg) * DEGREE
     shift = who.number("step roll", *numbers.roll_deg) * DEGREE * who.draw.choice((-1.0, 1.0))
-    first, second = rest_s + 0.35 * duration, rest_s + 0.95 * duration  # the two feet come down
+    first, second = rest_s + 0.35 * duration, rest_s + 0.95 * duration  # impacts of the two feet
     stop = rest_s + duration + 1.0
     side = 0.03 * np.sign(shift)
     return Task(
@@ -480,7 +482,7 @@ def _step(who: Performance, rest_s: float) -> Task:
 
 
 def _knocks(who: Performance, share: float, instants_s: tuple[float, ...]) -> tuple[Burst, ...]:
-    """Return bursts of drawn peak accelerations, m/s2, whose accelerations are loudest at drawn frequencies."""
+    """Return bursts with drawn peak accelerations, m/s2, and drawn frequencies at which their acceleration spectra peak."""
     bursts = []
     for start_s in instants_s:
         acceleration, frequency_hz = share * who.draw.uniform(1.0, 2.0), who.draw.uniform(5.0, 15.0)
