@@ -1,4 +1,4 @@
-"""Calibration: the one object that contains the correction model, and the values that it consists of.
+"""Calibration: the object that contains the correction model, and the values of which it consists.
 
 In symbols, for a reading u (3,) at temperature T::
 
@@ -9,7 +9,7 @@ In symbols, for a reading u (3,) at temperature T::
     w  = w - e(w, T)              dynamic  table over measured rate and temperature
     w  = w - m(t) d               moving   m is 1 while the device turns; gyroscopes fitted to references only
 
-``correction/correct.py`` is the only place that evaluates it. The maps are inverse models: raw to physical. A forward model
+Only ``correction/correct.py`` evaluates the model. The maps are inverse models: raw to physical. A forward model
 (physical to raw) is S = K a + b with K = M^-1 and b = offset.
 """
 
@@ -39,7 +39,7 @@ Sensor = Literal["gyro", "accel"]
 
 AXES: tuple[Axis, Axis, Axis] = ("x", "y", "z")
 SENSORS: tuple[Sensor, Sensor] = ("gyro", "accel")
-BEYOND_SEEN_C = 3.0  # range by which tables extend beyond the measured temperatures by default, degC
+BEYOND_SEEN_C = 3.0  # default range by which tables extend beyond the measured temperatures, degC
 MATRIX_NAMES = tuple(f"m_{row}{column}" for row in AXES for column in AXES)
 OFFSET_NAMES = tuple(f"offset_{axis}" for axis in AXES)
 G_NAMES = tuple(f"g_{row}{column}" for row in AXES for column in AXES)
@@ -112,9 +112,11 @@ class TriadModel:
     g_sensitivity: Annotated[FloatArray | None, Shape(3, 3)] = None
     # names of the rows of ``covariance``: m_xx to m_zz row by row, offset_x.., g_xx.., moving_x.., code_x..
     parameters: tuple[str, ...] = (*MATRIX_NAMES, *OFFSET_NAMES)
-    covariance: Annotated[FloatArray, Shape("p", "p")]  # in the units of the parameters, 0 for a fixed parameter
+    covariance: Annotated[
+        FloatArray, Shape("p", "p")
+    ]  # covariance in the units of the parameters, 0 for a fixed parameter
     rms_residual: AnyNumber  # root mean square residual of the fit, unit_out
-    count: int  # equations in the fit
+    count: int  # number of equations in the fit
     rank: int  # rank of the normal matrix, full if every parameter was observable
     condition: AnyNumber  # condition number of the design matrix with columns scaled to one
     valid_range: tuple[AnyNumber, AnyNumber]  # smallest and largest corrected value per axis in the fit, unit_out
@@ -130,17 +132,17 @@ class TriadModel:
             variances, budget_sum = np.diag(self.covariance), (self.budget.uncertainty**2).sum(axis=0)
             if budget_sum.shape != variances.shape or not np.allclose(budget_sum, variances, rtol=1e-9, atol=0.0):
                 raise InputError(
-                    "budget: expected squares that sum to the diagonal of the covariance. Give the correct budget, or none."
+                    "budget: the squares must sum to the diagonal of the covariance. Give the correct budget, or none."
                 )
 
     @property
     def standard_uncertainty(self) -> FloatArray:
-        """Standard uncertainty of each parameter, shape (P,), in its own unit."""
+        """Standard uncertainty of each parameter, shape (P,), in its unit."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
     def values(self) -> FloatArray:
-        """Value of each parameter, shape (P,), in its own unit."""
+        """Value of each parameter, shape (P,), in its unit."""
         parts = (self.matrix, self.offset, self.g_sensitivity, self.moving_offset, self.code_offset)
         value_of: dict[str, float] = {}
         for names, values in zip((MATRIX_NAMES, OFFSET_NAMES, G_NAMES, MOVING_NAMES, CODE_NAMES), parts, strict=True):
@@ -180,7 +182,7 @@ class TriadModel:
 
     @property
     def relative_uncertainty(self) -> float:
-        """Largest standard uncertainty of an element of matrix @ K. 0.01 means one per cent of the gain."""
+        """Largest standard uncertainty of an element of matrix @ K. The value 0.01 means 1 % of the gain."""
         return float((self.standard_uncertainty[:9].reshape(3, 3) @ np.abs(self.forward_matrix)).max())
 
 
@@ -189,7 +191,7 @@ class TriadModel:
 class Magnetometer:
     """Inverse model of a magnetometer: field = x - lag_s (w x x), with x = matrix (raw - offset) and w the rate.
 
-    It has the axes of the gyroscopes.
+    The field is in the axes of the gyroscopes.
     """
 
     model: TriadModel  # uT to uT (the matrix has determinant 1, so it does not scale the field)
@@ -208,19 +210,19 @@ class WarmUp:
     """Additional offset of a device after power-on, which decays to zero."""
 
     power_on_s: Nodes  # time since power-on, s, starting at 0
-    gyro_offset: Annotated[FloatArray, Shape("n", 3)]  # added to the settled offset, raw unit (the last row is zero)
+    gyro_offset: Annotated[FloatArray, Shape("n", 3)]  # addition to the settled offset, raw unit (the last row is zero)
 
     def __post_init__(self) -> None:
         freeze(self)
         if self.power_on_s[0] != 0.0 or self.gyro_offset[-1].any():
             raise InputError(
-                f"warm-up: expected nodes from 0 s to an offset of zero, got {self.power_on_s[0]:g} s and "
+                f"warm-up: nodes must start at 0 s and end with an offset of zero, got {self.power_on_s[0]:g} s and "
                 f"{np.abs(self.gyro_offset[-1]).max():g} at the end. Put the settled offset into the static table."
             )
 
 
 def seen_span(temp_c: FloatArray, extrapolated: BoolArray | None) -> tuple[float, float]:
-    """Return the first and last node that is supported by data, degC. Without marks, or if all nodes are marked, all count."""
+    """Return the first and last node supported by data, degC. Without marks, or if all nodes are marked, all nodes count."""
     nodes = temp_c if extrapolated is None or extrapolated.all() else temp_c[~extrapolated]
     return float(nodes[0]), float(nodes[-1])
 
@@ -229,10 +231,10 @@ def seen_span(temp_c: FloatArray, extrapolated: BoolArray | None) -> tuple[float
 class OverTemperature:
     """Table over temperature of a sensor, n nodes."""
 
-    temp_c: FloatArray  # (n,), degC
-    value: FloatArray  # (n, 3) offsets or (n, 3, 3) matrices
-    uncertainty: FloatArray | None  # like ``value``, standard uncertainty
-    extrapolated: BoolArray | None  # (n,), true without data near the node
+    temp_c: FloatArray  # (n,), temperatures, degC
+    value: FloatArray  # offsets (n, 3) or matrices (n, 3, 3)
+    uncertainty: FloatArray | None  # standard uncertainty, in the shape of ``value``
+    extrapolated: BoolArray | None  # (n,), True if there were no data near the node
 
 
 @stored()
@@ -246,7 +248,7 @@ class StaticDrift:
     # standard uncertainty of each node for a future visit to its temperature, raw unit
     gyro_uncertainty: Annotated[Rows3, LATER] = None
     accel_uncertainty: Annotated[Rows3, LATER] = None
-    gyro_extrapolated: Annotated[Marks, LATER] = None  # true if no data were near the node
+    gyro_extrapolated: Annotated[Marks, LATER] = None  # True if there were no data near the node
     accel_extrapolated: Annotated[Marks, LATER] = None
     # half the difference of the offsets while cooling and while warming, raw unit (the table is the mean of both)
     gyro_hysteresis: Annotated[Vector, LATER] = None
@@ -266,7 +268,7 @@ class ScaleDrift:
     accel_matrix: Matrices = None
     gyro_uncertainty: Annotated[Matrices, LATER] = None  # standard uncertainty of each element
     accel_uncertainty: Annotated[Matrices, LATER] = None
-    gyro_extrapolated: Annotated[Marks, LATER] = None  # True if no data were near the node
+    gyro_extrapolated: Annotated[Marks, LATER] = None  # True if there were no data near the node
     accel_extrapolated: Annotated[Marks, LATER] = None
 
     def __post_init__(self) -> None:
@@ -283,7 +285,7 @@ class DynamicDrift:
     error: Annotated[FloatArray, Shape("m", "k", 3)]  # measured minus true rate per axis, rad/s
     # standard uncertainty of each node, rad/s
     uncertainty: Annotated[FloatArray | None, Shape("m", "k", 3), LATER] = None
-    extrapolated: Annotated[BoolArray | None, Shape("m", "k"), LATER] = None  # True if no data were near the node
+    extrapolated: Annotated[BoolArray | None, Shape("m", "k"), LATER] = None  # True if there were no data near the node
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -305,8 +307,8 @@ class DriftTables:
         lag, smooth = self.lag_s, self.lag_smooth_s
         if not (0.0 <= lag < np.inf and 0.0 <= smooth < np.inf) or (lag > 0.0 and smooth == 0.0):
             raise InputError(
-                "drift tables: expected lag_s and lag_smooth_s of 0 s or more, with a lag the smoothing above 0, "
-                f"got {lag:g} and {smooth:g}. Give both, or neither."
+                "drift tables: lag_s and lag_smooth_s must be 0 s or more, and lag_smooth_s positive if there is a lag, got "
+                f"{lag:g} and {smooth:g}. Give both, or neither."
             )
 
 
@@ -392,12 +394,12 @@ InputFiles = Annotated[
 @stored(whole=True)
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Provenance:
-    """Origin of a calibration: input files with their sha256, settings, packages with their versions, and time."""
+    """Origin of a calibration: input files with their sha256, settings, packages with their versions, and date."""
 
     inputs: InputFiles = ()
     settings: Pairs = ()
     versions: Pairs = ()
-    created: Annotated[str, Field(alias="time")] = ""  # ISO 8601, UTC
+    created: Annotated[str, Field(alias="time")] = ""  # date and time, ISO 8601, UTC
 
     def text(self, name: str) -> str:
         """Return a setting, or an empty string if it was not set."""
@@ -430,15 +432,15 @@ class Calibration(Shown):
     gravity_m_s2 : float
         Local gravity that the accelerometer fit used, m/s2.
     gyro, accel : TriadModel or None
-        None if the session did not determine it.
+        Model of each triad, or None if the session did not determine it.
     drift, adc, noise : DriftTables, AdcModel, NoiseModel or None
-        Tuning tables, rounding of the codes, and noise at rest. None means constant offsets, unknown rounding, noise not measured.
+        Tuning tables, rounding of the codes, and noise at rest. None means constant offsets, unknown rounding, or unmeasured noise.
     verdict, provenance : Verdict, Provenance
         Quality of the fit, and origin of the calibration.
     file_map : FileMap or None
         Column map for the recordings of the device, if they need one.
     magnetometer : Magnetometer or None
-        None if it was not fitted. Its readings then pass through unchanged.
+        Model of the magnetometer, or None if it was not fitted. Its readings are then not changed.
     mounting : BodyMounting or None
         Mounting of the device on the body, if it was determined.
 
@@ -484,7 +486,7 @@ class Calibration(Shown):
 
     @property
     def triads(self) -> "tuple[Triad, Triad]":
-        """Gyroscopes and accelerometers, as ``triad`` returns them."""
+        """Return gyroscopes and accelerometers, as ``triad`` does."""
         return self.triad("gyro"), self.triad("accel")
 
     __repr__ = Shown.__str__

@@ -87,7 +87,7 @@ def test_a_thermometers_file_is_interpolated_and_held_at_the_ends(folder):
     settings = ColumnMap(temp_file=TempFile(file=str(folder / "t.csv")))
     read = read_counted(folder / "r.csv", settings)
     np.testing.assert_allclose(read.record.temp_c, truth(read.record.time))
-    assert read.notes == ("temperature of t.csv, interpolated onto the samples",)
+    assert read.notes == ("temperature from t.csv, interpolated onto the samples",)
     parts = list(iter_record(folder / "r.parquet", column_map=settings, rows=30))
     np.testing.assert_allclose(np.concatenate([part.temp_c for part in parts]), truth(read.record.time))
 
@@ -105,7 +105,7 @@ def test_names_units_and_another_clock_are_stated(folder):
 
 def test_a_thermometer_of_another_clock_or_without_readings_is_refused(folder):
     (folder / "far.csv").write_text("time_s,temp_c\n107,20\n108,21\n")
-    words = r"far.csv: expected temperatures from 5 to 14.9 s, the recording's clock, got 107 to 108 s. Set temp_file.shift_s"
+    words = r"far.csv: expected temperatures from 5 to 14.9 s on the recording's clock, got 107 to 108 s. Set temp_file.shift_s"
     with pytest.raises(InputError, match=words):
         read_counted(folder / "r.csv", ColumnMap(temp_file=TempFile(file=str(folder / "far.csv"))))
     (folder / "none.csv").write_text("time_s,temp_c\n7,NaN\n8,NaN\n")

@@ -70,7 +70,7 @@ def test_a_packet_counter_that_overflows_goes_on(tmp_path):
     (tmp_path / "m.txt").write_text(head + rows)
     read = read_counted(tmp_path / "m.txt")
     np.testing.assert_allclose(read.record.time, [0.0, 0.01, 0.02, 0.03, 0.06])
-    assert read.notes[1] == "2 of 7 packets lost by PacketCounter, seen as gaps in time"
+    assert read.notes[1] == "2 of 7 packets lost according to PacketCounter are gaps in time"
 
 
 @pytest.mark.parametrize("delimiter", [";", ",", " "])
@@ -97,7 +97,7 @@ def test_a_dot_recording_with_sensors_has_metres_and_degrees_and_its_clock_overf
     read = read_counted(path)
     assert (read.record.accel_unit, read.record.gyro_unit, read.record.device) == ("m/s2", "dps", "Left")
     np.testing.assert_allclose(np.diff(read.record.time), 0.016667)
-    assert read.notes[0] == "units by the manual of Movella DOT, not in the file: gyro dps, accel m/s2"
+    assert read.notes[0] == "units from the manual of Movella DOT, not from the file: gyro dps, accel m/s2"
 
 
 def test_a_counter_that_goes_back_is_no_overflow(tmp_path):
@@ -176,7 +176,7 @@ def test_noraxon_reads_with_both_delimiters_and_the_decimal_comma(tmp_path, deli
     np.testing.assert_allclose(read.record.gyro[0], [0.5, -0.25, 1.5])
     assert (read.record.accel_unit, read.record.gyro_unit) == ("mg", "dps")
     assert read.record.sample_rate_hz == pytest.approx(200.0)
-    assert "units by the manual of Noraxon, not in the file: time s" in read.notes
+    assert "units from the manual of Noraxon, not from the file: time s" in read.notes
 
 
 # ---- makers that this version does not know: a map in one line reads the same rows
@@ -199,7 +199,7 @@ def test_a_new_maker_is_a_file_without_code(tmp_path):
     assert dialect.recognises(tmp_path / "s.csv", head.encode())
     result = build_record(dialect.read(tmp_path / "s.csv"))
     assert (result.record.device, result.record.sample_rate_hz, result.record.gyro_unit) == ("A7", 50.0, "dps")
-    assert result.notes[0] == "units by the manual of StepLogger, not in the file: gyro dps, accel g"
+    assert result.notes[0] == "units from the manual of StepLogger, not from the file: gyro dps, accel g"
 
 
 # ---- clocks and folders

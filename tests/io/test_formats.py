@@ -65,7 +65,7 @@ def test_what_is_no_recording_says_what_it_is(tmp_path, name, content, words):
 def test_folders_and_missing_files_are_one_line(tmp_path):
     with pytest.raises(InputError, match=r"expected a file, or a folder with session.toml"):
         read_record(tmp_path)
-    with pytest.raises(InputError, match="no file of that name"):
+    with pytest.raises(InputError, match="no file with this name"):
         read_record(tmp_path / "none.csv")
     (tmp_path / "session.toml").touch()
     with pytest.raises(FileFormatError, match="got a session of recordings"):
@@ -136,7 +136,7 @@ def test_a_stretch_is_cut_off_at_an_end_and_a_gap_between(tmp_path, ending):
     chunks = list(iter_record(tmp_path / f"r.{ending}", column_map=settings, rows=4))
     assert_same(joined(chunks), record)
     assert (
-        "left out as stated: -1 to 0.05 s, 0.1 to 0.15 s, 0.25 to 9 s"
+        "left out as specified: -1 to 0.05 s, 0.1 to 0.15 s, 0.25 to 9 s"
         in read_counted(tmp_path / f"r.{ending}", settings).notes
     )
 

@@ -40,7 +40,7 @@ def test_one_of_two_sensors_is_taken_and_the_other_is_named(tmp_path):
     names = "t," + ",".join(f"{kind}{axis}{k}" for k in (1, 2) for kind in "ag" for axis in "xyz")
     np.savetxt(tmp_path / "a.csv", np.column_stack((ROWS, ROWS[:, 1:])), "%.4f", ",", header=names, comments="")
     found = describe(tmp_path / "a.csv")
-    assert found.example[0].endswith("# one sensor; not taken: ax2, gx2")
+    assert found.example[0].endswith("# one sensor; not used: ax2, gx2")
     record = read_as_proposed(tmp_path / "a.csv").record
     np.testing.assert_allclose(record.gyro, GYRO, atol=1e-4)
 

@@ -102,7 +102,7 @@ def test_a_ros_bag_reads_its_imu_by_header_stamp(name):
     assert (record.gyro_unit, record.accel_unit, record.temp_c) == ("rad/s", "m/s2", None)
     assert (
         read.notes[0]
-        == "topic /imu/data, frame base_link, time by header.stamp, units as ROS defines them (rad/s, m/s2)"
+        == "topic /imu/data, frame base_link, time from header.stamp, units as ROS defines them (rad/s, m/s2)"
     )
 
 
@@ -149,7 +149,10 @@ def test_the_folder_of_a_ros_2_bag_reads_with_the_temperature_beside_its_imu(tmp
     assert read.record.temp_c[[0, 5, 10, 19]] == pytest.approx([20, 25, 30, 30])
     assert read.record.gyro[3] == pytest.approx((0.3, 0, 0))
     assert read.record.time[[0, 19]] == pytest.approx([0, 1.9], abs=1e-9)
-    assert read.notes[1:] == ("time 0 is the time stamp 1700000000.000000 s", "temperature of /imu/temp, interpolated")
+    assert read.notes[1:] == (
+        "time 0 is the time stamp 1700000000.000000 s",
+        "temperature from /imu/temp, interpolated",
+    )
 
 
 def test_a_covariance_of_minus_one_means_that_the_channel_is_absent(tmp_path):
@@ -158,9 +161,9 @@ def test_a_covariance_of_minus_one_means_that_the_channel_is_absent(tmp_path):
     read = read_counted(path, sensor("/a"))
     assert (read.record.gyro, read.record.accel[0, 2]) == (None, 9.81)
     assert "gyro left out: its covariance marks it as not available (-1)" in read.notes
-    with pytest.raises(InputError, match=r"expected readings in /b, got none \(covariance -1\). Name another topic"):
+    with pytest.raises(InputError, match=r"expected readings in /b, got none \(covariance -1\). Choose another topic"):
         read_record(path, sensor("/b"))
-    with pytest.raises(InputError, match=r"expected the name of one topic, got a file with /a, /b. Name one of them"):
+    with pytest.raises(InputError, match=r"expected the name of one topic, got a file with /a, /b. Choose one with"):
         read_record(path)
 
 
@@ -227,7 +230,7 @@ def test_a_nilspod_whose_samples_are_lost_says_how_many_and_one_that_disagrees_i
     path = tmp_path / "a.bin"
     path.write_bytes(content)
     found = describe(path)
-    assert any("40 of 635 samples missing by the counter" in item.sentence for item in found.findings)
+    assert any("40 of 635 samples are missing according to the counter" in item.sentence for item in found.findings)
     assert any("longest 0.4004 s" in text for text in found.problems)
     path.write_bytes(whole[:place] + whole[place : place + size] + whole[place:])
     with pytest.raises(FileFormatError, match="the header gives 20372 bytes"):
@@ -266,7 +269,7 @@ def test_an_ax3_reads_its_17400_samples():
     assert np.linalg.norm(at_rest(record.accel, record.accel)) == pytest.approx(0.988, abs=0.001)
     assert (record.temp_c.min(), record.temp_c.max()) == pytest.approx((25.59, 26.46), abs=0.005)
     assert np.diff(record.time).max() < 0.0103  # no gap
-    assert read.notes[0].startswith("time 0 is 2019-02-26T10:55:06.000 by the logger's clock")
+    assert read.notes[0].startswith("time 0 is 2019-02-26T10:55:06.000 on the logger's clock")
 
 
 def test_an_ax6_reads_its_gyroscope_too():

@@ -69,7 +69,7 @@ def test_a_file_longer_than_its_header_promises_is_refused(tmp_path):
     whole = path.read_bytes()
     for count in (1, 511, 512):  # bytes that came in among the points shift all that follow
         path.write_bytes(whole[:-300] + bytes(count) + whole[-300:])
-        with pytest.raises(FileFormatError, match=r"bytes as its header promises, got \d+"):
+        with pytest.raises(FileFormatError, match=r"bytes according to its header, got \d+"):
             read_c3d(path)
 
 
@@ -90,8 +90,8 @@ def test_cut_empty_and_foreign_files_are_refused(tmp_path):
     write(path, np.ones((200, 3, 3)), ("A", "B", "C"))
     whole = path.read_bytes()
     for keep, words in (
-        (len(whole) // 2, "bytes as its header promises"),
-        (600, "promises, got 600"),
+        (len(whole) // 2, "bytes according to its header"),
+        (600, "header, got 600"),
         (514, "truncated before its parameters"),
     ):
         path.write_bytes(whole[:keep])

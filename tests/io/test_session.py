@@ -116,7 +116,11 @@ def test_native_files_need_no_columns_and_files_side_by_side_are_joined(tmp_path
         ("gravity_m_s2 = 9.80665", "latitude_deg = 200.0\nheight_m = 0", "latitude_deg: expected -90 to 90 deg, got 200. South"),
         ("stop_s = 1.6\n", "", r"line 10: \[\[still\]\] 1, stop_s: this key is missing"),
         ("stop_s = 1.6", "stop_s = 99", "0 <= start_s < stop_s <= 5 s"),
-        ("start_s = 1.0\nstop_s = 1.6", "start_s = 1.001\nstop_s = 1.005", "expected a sample or more between 1.001 and 1.005 s"),
+        (
+            "start_s = 1.0\nstop_s = 1.6",
+            "start_s = 1.001\nstop_s = 1.005",
+            "expected a sample between 1.001 and 1.005 s",
+        ),
         ("recording = 0", "recording = 3", r"\[\[still\]\] 1: expected recording 0 to 0, got 3"),
         (
             'kind = "calibration" ', 'kind = "party"',
@@ -130,7 +134,7 @@ def test_native_files_need_no_columns_and_files_side_by_side_are_joined(tmp_path
             "sample_rate_hz = 100.0", "sample_rate_hz = 50.0",
             r"\[\[recording\]\] 1: .*session.csv: expected the specified 50 Hz, got 100 Hz",
         ),
-        ('"session.csv"', '"other.csv"', r"\[\[recording\]\] 1: .*other.csv: there is no file of that name"),
+        ('"session.csv"', '"other.csv"', r"\[\[recording\]\] 1: .*other.csv: there is no file with this name"),
         ('"session.csv"', '["session.csv", "session.csv"]', "expected one table of columns for each file, got 1 for 2 files"),
         (
             "[[recording]]", "[rate_table]\nwobble_deg = 11\n[[recording]]",

@@ -125,13 +125,13 @@ def test_the_file_has_the_keys_of_the_format_and_null_for_nan(tmp_path: Path) ->
 
 @pytest.mark.parametrize("name", ["lag_s", "lag_smooth_s"])
 def test_a_lag_below_zero_is_refused_in_value_and_file(name: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="expected lag_s and lag_smooth_s"):
+    with pytest.raises(InputError, match="lag_s and lag_smooth_s must be"):
         DriftTables(**{name: -1.0})
     content = calibration_json(example(drift=DriftTables(**{"lag_smooth_s": 1.0, name: 2.0})))
     assert content["drift"][name] == 2.0
     content["drift"][name] = -1.0
     (tmp_path / "c.json").write_text(json.dumps(content))
-    with pytest.raises(InputError, match=r"with a lag the smoothing above 0, got 3 and 0. "):
+    with pytest.raises(InputError, match=r"lag_smooth_s positive if there is a lag, got 3 and 0. "):
         DriftTables(lag_s=3.0)
     with pytest.raises(FileFormatError, match=f"at drift.{name}: expected greater than or equal to 0"):
         read_calibration(tmp_path / "c.json")

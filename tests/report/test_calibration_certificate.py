@@ -57,7 +57,7 @@ def test_what_a_part_exceeds_is_not_separated() -> None:
 
 
 def test_shares_that_do_not_sum_up_are_refused(calibration: Calibration) -> None:
-    with pytest.raises(InputError, match="budget: expected squares"):
+    with pytest.raises(InputError, match="budget: the squares must sum"):
         replace(calibration.accel, covariance=2.0 * calibration.accel.covariance)
 
 

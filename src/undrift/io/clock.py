@@ -1,10 +1,10 @@
 """A regular clock for readings whose time stamps are those of the host that received them, in files and live (live/clock.py).
 
-    t_k = a + n_k / f + d_k        n_k sample number on the device's clock, f its rate, d_k >= 0 delay of the stamp
+    t_k = a + n_k / f + d_k        n_k sample number on the device's clock, f its rate, d_k >= 0 delay of the time stamp
 
-Packets arrive late but never early. So the device's clock is the line below all points (n, t) with the smallest sum of distances,
-min sum(t_k - a - n_k / f). It is the edge of the lower convex hull that spans the mean of n [1]_. A constant delay cannot be
-determined.
+Packets arrive late but never early. Therefore the device's clock is the line below all points (n, t) with the smallest sum of
+distances, min sum(t_k - a - n_k / f). It is the edge of the lower convex hull that spans the mean of n [1]_. A constant delay
+cannot be determined.
 
 In a file, n_k is the row number plus the number of samples that were lost before it. The device's counter determines the losses.
 Without a counter, a loss is a lasting increase of the smallest delay:
@@ -24,12 +24,12 @@ import numpy as np
 from undrift.arrays import FloatArray, IntArray, runs
 from undrift.errors import InputError
 
-LEAST_SAMPLES = 100  # for a rate
-_SEEN = 0.7  # part of a sample: a smaller step is not counted as a loss
-_SURE = 1.5  # this limit in the first round, in which the rate is still rough
-_BURSTS = 25  # multiple of the longest usual step: samples on either side of a loss that determine the least delay
+LEAST_SAMPLES = 100  # smallest number of samples for a rate
+_SEEN = 0.7  # share of a sample: a smaller step is not counted as a loss
+_SURE = 1.5  # the same limit in the first round, in which the rate is still rough
+_BURSTS = 25  # multiple of the longest usual step: number of samples on either side of a loss that determine the smallest delay
 _STRETCHES = 100
-_GAP = 1.5  # usual steps between two readings; a longer step is a drop-out
+_GAP = 1.5  # longest step between two readings, in usual steps; a longer step is a drop-out
 _ROUNDS, _SLOPES = 12, 3
 _LONGEST_LOSS = 0.5  # largest share of lost samples in a recording
 
@@ -66,24 +66,24 @@ def slope_at(hull: list[Point], x: float, single: float = 0.0) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ClockFit:
-    """A regular clock and the residuals of the stamps."""
+    """A regular clock and the residuals of the time stamps."""
 
-    time: FloatArray  # (N,), s, strictly increasing: the promptest stamp of each sample
-    sample_rate_hz: float  # sample rate of the device by the host's clock
-    offset_s: float  # Time of the first sample, s
-    jitter_s: float  # 95 of 100 stamps come at most so much later than the promptest, s
-    gaps: int  # Stretches where samples are missing
-    missing: int  # Samples in them
-    counted: bool  # True where a counter shows them
+    time: FloatArray  # (N,), s, strictly increasing: earliest possible time stamp of each sample
+    sample_rate_hz: float  # sample rate of the device, measured with the host's clock
+    offset_s: float  # time of the first sample, s
+    jitter_s: float  # delay relative to the promptest time stamp that 95 % of time stamps do not exceed, s
+    gaps: int  # number of stretches with missing samples
+    missing: int  # number of missing samples
+    counted: bool  # True if a counter determines the missing samples
 
     @property
     def longest_step_s(self) -> float:
-        """Longest time from one sample to the next, s."""
+        """Return the longest time from one sample to the next, s."""
         return float(np.diff(self.time).max())
 
 
 def fit_clock(stamps: FloatArray, counter: FloatArray | None = None) -> ClockFit:
-    """Fit a regular clock to stamps (N,), s, which never go back, and to the device's counter (N,) where there is one."""
+    """Fit a regular clock to time stamps (N,), s, which never decrease, and to the device's counter (N,) if there is one."""
     if len(stamps) < LEAST_SAMPLES:
         raise InputError(
             f"clock: expected {LEAST_SAMPLES} samples or more for a regular clock, got {len(stamps)}. Set "
@@ -103,7 +103,7 @@ def fit_clock(stamps: FloatArray, counter: FloatArray | None = None) -> ClockFit
         up, step = _steps_up(elapsed, number, step, width)
         new_losses = _losses(elapsed, up, step, _SEEN if count else _SURE)
         gone = np.diff(number) - 1
-        over = (gone > 0) & (up < -_SEEN * step)  # too many were taken out there
+        over = (gone > 0) & (up < -_SEEN * step)  # too many samples were counted as lost there
         new_losses[over] = np.maximum(np.rint(up[over] / step).astype(np.int64), -gone[over])
         number = number + np.concatenate(([0], np.cumsum(new_losses)))
         if count and not new_losses.any():
@@ -128,19 +128,19 @@ def fit_clock(stamps: FloatArray, counter: FloatArray | None = None) -> ClockFit
 
 
 def _width(elapsed: FloatArray) -> int:
-    """Return how many samples hold several bursts, so that one of them came promptly."""
+    """Return the number of samples that contain several bursts, so that one burst arrived promptly."""
     steps = np.diff(elapsed)
     return int(np.clip(_BURSTS * np.quantile(steps, 0.98) / max(steps.mean(), 1e-12), 10, len(elapsed) // 8))
 
 
 def _rough_step(elapsed: FloatArray, number: IntArray, width: int) -> float:
-    """Return the median time per sample over some bursts: drop-outs touch few of them."""
+    """Return the median time per sample over some bursts, because drop-outs affect only a few of them."""
     return float(np.median((elapsed[width:] - elapsed[:-width]) / (number[width:] - number[:-width])))
 
 
 def _steps_up(elapsed: FloatArray, number: IntArray, step: float, width: int) -> tuple[FloatArray, float]:
-    """Return the rise of the least delay of ``width`` samples from before to after each sample (N - 1,), s, and a
-    better step.
+    """Return the increase of the smallest delay in ``width`` samples from before to after each sample (N - 1,), s, and a better
+    step.
 
     The median is robust, because most samples have no loss near them.
     """
@@ -155,7 +155,7 @@ def _steps_up(elapsed: FloatArray, number: IntArray, step: float, width: int) ->
 
 
 def _line(elapsed: FloatArray, number: IntArray, step: float, width: int) -> tuple[float, float]:
-    """Return step and start, s, of the line below the least delays of up to a hundred stretches."""
+    """Return step and start, s, of the line below the smallest delays of up to a hundred stretches."""
     edges = np.linspace(0, len(elapsed), int(np.clip(len(elapsed) // width, 4, _STRETCHES)) + 1).astype(np.int64)
     delay = elapsed - step * number
     hull = list[Point]()
@@ -167,27 +167,27 @@ def _line(elapsed: FloatArray, number: IntArray, step: float, width: int) -> tup
 
 
 def _losses(elapsed: FloatArray, up: FloatArray, step: float, least: float) -> IntArray:
-    """Return the samples lost between neighbours (N - 1,): where the least delay steps up and stays."""
+    """Return the number of samples lost between neighbours (N - 1,). A loss is a lasting increase of the smallest delay."""
     lost = np.zeros(len(up), np.int64)
     for first, last in runs(up > least * step).tolist():
         at = first + int(np.diff(elapsed)[first:last].argmax())
-        lost[at] = round(float(up[at]) / step)  # further on, a second loss may add to it
+        lost[at] = round(float(up[at]) / step)  # further on, a second loss may add to the first
     return lost
 
 
-# ---- stamps of a host
+# ---- time stamps of a host
 
 
-_UNEVEN = (0.5, 1.5)  # limits relative to the mean step: one of ten steps is outside
+_UNEVEN = (0.5, 1.5)  # limits relative to the mean step, beyond which one of ten steps lies
 _CATCHES_UP = 0.35  # variance of the time over many samples, divided by the variance of independent steps
 _SPAN = 64  # samples
 _NORMAL = 2.563  # standard deviations between the 10 % and 90 % quantiles of a normal distribution
 
 
 def host_clock(stamps: FloatArray) -> ClockFit | None:
-    """Return the regular clock of stamps that come from a host, or None for other stamps.
+    """Return the regular clock for time stamps of a host, or None for other time stamps.
 
-    Stamps of a host are uneven, and a late stamp is followed by a short step.
+    Time stamps of a host are uneven, and a late time stamp is followed by a short step.
     """
     if len(stamps) < LEAST_SAMPLES:
         return None
@@ -196,7 +196,7 @@ def host_clock(stamps: FloatArray) -> ClockFit | None:
     mean = _rough_step(stamps, np.arange(len(stamps)), _width(stamps))
     if low > _UNEVEN[0] * mean and high < _UNEVEN[1] * mean:
         return None
-    over = np.quantile(stamps[_SPAN:] - stamps[:-_SPAN], (0.1, 0.9))  # drop-outs lie beyond
+    over = np.quantile(stamps[_SPAN:] - stamps[:-_SPAN], (0.1, 0.9))  # longer steps are drop-outs
     step_variance = float(steps[steps <= np.quantile(steps, 0.99)].var())
     if (float(np.ptp(over)) / _NORMAL) ** 2 > _CATCHES_UP * _SPAN * step_variance:
         return None
@@ -229,7 +229,7 @@ def unwrapped(counter: FloatArray) -> IntArray:
             f"{int((steps == 0).sum())} samples without a step. Name a counter of samples, or omit the counter."
         )
     if (steps < 0).any():
-        size = usual - int(steps.min())  # size of a wrap at which no sample was lost
+        size = usual - int(steps.min())  # size of a wrap without lost samples
         bits = 1 << (size - 1).bit_length()
         alone = (steps == steps.min()).sum() == 1 and size not in _DECIMAL
         steps = np.where(steps < 0, steps + (bits if alone and size > _WHOLE_BITS * bits else size), steps)
@@ -246,7 +246,7 @@ def unwrapped(counter: FloatArray) -> IntArray:
 def onto_clock(time: FloatArray, source_time: FloatArray, values: FloatArray) -> tuple[FloatArray, int]:
     """Interpolate readings (M, K) at times ``own`` (M,) onto ``time`` (N,), and return how many samples are gaps.
 
-    A sample is a gap (NaN) if its two neighbours are more than 1.5 usual steps apart: nothing was read there.
+    A sample becomes a gap (NaN) if the readings on either side of it are more than 1.5 usual steps apart.
     """
     out = np.stack([np.interp(time, source_time, column) for column in values.T], axis=1)
     steps = np.diff(source_time)

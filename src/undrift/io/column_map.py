@@ -1,6 +1,6 @@
-"""The column map: all that a reader is told about a file. A class here is its table in TOML; nothing is repeated elsewhere.
+"""The column map: everything that a reader is told about a file. Each class defines a table in TOML, and the only definition of it.
 
-A map stands alone in a file, as a [[recording]] of session.toml (with the name of the file), or as JSON in a calibration::
+A map is stored in a separate file, as a [[recording]] of session.toml (with the name of the file), or as JSON in a calibration::
 
     sample_rate_hz = 102.4
     columns = { time = "t", gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"], temp = "T" }  # names, or positions from 0
@@ -40,11 +40,11 @@ Names: TypeAlias = tuple[str, ...] | list[str]
 CHANNELS: tuple[Channel, ...] = ("time", "gyro", "accel", "temp", "mag")
 QUANTITY: dict[Channel, Quantity] = {"time": "time", "gyro": "rate", "accel": "accel", "temp": "temp", "mag": "mag"}
 AXES = ("x", "y", "z")
-# keys of a map that a file with undrift's own names may need, or one whose format states its columns
+# keys of a map that may be needed for a file with undrift's own names, or with a format that defines the columns
 NATIVE_KEYS = {"sample_rate_hz", "sensor", "gaps", "repair_time", "drop_bad_rows", "clock", "temp_file", "leave_out"}
 _SENSOR = {"time": "time", "gyro": "gyroscope", "accel": "accelerometer", "temp": "temperature", "mag": "magnetometer"}
 
-# Ending of a native column name for each unit that a channel may have.
+# Ending of a native column name, for each unit that a channel may have.
 NATIVE = {
     "gyro": {"rad/s": "rad_s", "dps": "dps", "count": "count", "v": "v"},
     "accel": {"m/s2": "m_s2", "g": "g", "mg": "mg", "count": "count", "v": "v"},
@@ -59,7 +59,7 @@ class ChannelScale:
 
     # unit of the channel per unit of the file, or three values if the axes differ in scale or sign
     gain: float | tuple[float, float, float] = 1.0
-    offset: float | tuple[float, float, float] = 0.0  # added afterwards, in the unit of the channel
+    offset: float | tuple[float, float, float] = 0.0  # added after the gain, in the unit of the channel
 
     def applied(self, cells: FloatArray, axis: int) -> FloatArray:
         """Return the converted values of an axis."""
@@ -70,27 +70,27 @@ class ChannelScale:
 class TextLayout(FileTable):
     """Layout of a text table."""
 
-    delimiter: Annotated[str, Field(pattern=r"^[^\r\n]$")] = ","  # one character; " " means one or more blanks or tabs
+    delimiter: Annotated[str, Field(pattern=r"^[^\r\n]$")] = ","  # one character; " " means one or more spaces or tabs
     header: bool = True  # true if the first line after the skipped ones names the columns
     skip_rows: Annotated[int, Ge(0)] = 0  # lines before the header, or before the first row if there is no header
     decimal: Annotated[str, Field(pattern="^[.,]$")] = "."  # decimal sign, "." or ","
-    # drop and count rows with another number of columns, or with text in place of a number
+    # drop and count rows with another number of columns, or with text instead of a number
     drop_bad_rows: bool = False
 
 
 class TempFile(TextLayout):
-    """A thermometer in a text table of its own; temperatures are interpolated to the samples, and constant beyond its ends."""
+    """A thermometer in a separate text table. Temperatures are interpolated to the samples, and constant beyond its ends."""
 
     file: str  # text table, next to the map
     time: Column = "time_s"  # time column, on the recording's clock after the shift
     temp: Column = "temp_c"  # temperature column
-    time_unit: str = "s"  # any spelling of :mod:`undrift.units`
+    time_unit: str = "s"  # unit of the temperature, in any spelling of :mod:`undrift.units`
     temp_unit: str = "degC"
     shift_s: float = 0.0  # added to the thermometer's time, s
 
 
 class AxisColumns(FileTable):
-    """Columns of some axes of a channel. The other axes are in other files of the recording."""
+    """Columns of a channel's axes that are in this file. The other axes are in other files of the recording."""
 
     x: Column | None = None
     y: Column | None = None
@@ -104,7 +104,7 @@ Triad: TypeAlias = Sequence[Column] | str | AxisColumns
 class ChannelColumns(FileTable):
     """Columns of the channels: names in the header, or positions from 0."""
 
-    time: Column | None = None  # without it ``sample_rate_hz`` is required
+    time: Column | None = None  # time column; without it, ``sample_rate_hz`` is required
     gyro: Triad | None = None
     accel: Triad | None = None
     temp: Column | None = None
@@ -113,27 +113,27 @@ class ChannelColumns(FileTable):
 
 
 class ColumnMap(TextLayout):
-    """All that a reader needs to know about a file."""
+    """Everything that a reader needs to know about a file."""
 
     sample_rate_hz: float | None = None  # Hz, without a default; checked against the time column if there is one
-    columns: ChannelColumns | Sequence[ChannelColumns] | None = None  # one table, or one for each of several files
-    # unit of each channel, any spelling of :mod:`undrift.units`; "date": year first
+    columns: ChannelColumns | Sequence[ChannelColumns] | None = None  # one table, or one per file
+    # unit of each channel, in any spelling of :mod:`undrift.units`; "date": year first
     units: dict[Channel, str] = Field(default_factory=dict)
-    # if the numbers are not in those units
+    # conversion, if the numbers are not in these units
     scale: dict[Literal["gyro", "accel", "temp", "mag"], ChannelScale] = Field(default_factory=dict)
     # "raise" refuses empty cells and NaN, "keep" keeps them as gaps; by default only files that undrift wrote have gaps
     gaps: Gaps | None = None
-    repair_time: bool = False  # leave out rows whose time does not increase
-    clock: Clock = "file"  # "file", or "regular" for stamps of a host: a rate and an offset are fitted to them
-    # stretches, s on the recording's clock: cut off at its ends, gaps between
+    repair_time: bool = False  # omit rows whose time does not increase
+    clock: Clock = "file"  # "file", or "regular" for time stamps of a host, to which a rate and an offset are fitted
+    # omitted stretches, s on the recording's clock: cut off at its ends, gaps in between
     leave_out: tuple[tuple[float, float], ...] = ()
     frame: Frame = "s"  # "s" or "b"
     device: str = ""  # serial number or name
     temp_file: TempFile | None = None  # replaces a temperature in the recording
-    sensor: str | None = None  # sensor, stream or topic, in a file of several
+    sensor: str | None = None  # sensor, stream or topic, in a file with several
 
     def parts(self) -> tuple["ColumnMap", ...]:
-        """Return a map for each table of columns, that is for each file of one recording."""
+        """Return one map per table of columns, that is, per file of a recording."""
         tables = () if self.columns is None else self.columns
         return tuple(self.but(columns=table) for table in ([tables] if isinstance(tables, ChannelColumns) else tables))
 
@@ -145,14 +145,14 @@ class ColumnMap(TextLayout):
         return () if value is None else (value,) if isinstance(value, str | int) else tuple(value)
 
     def axes_of(self, channel: str) -> tuple[int, ...]:
-        """Return the axes of a triad that the columns of this map contain, from 0: all three unless they are named."""
+        """Return the axes of a triad, from 0, that the columns of this map contain. These are all three unless axes are named."""
         value = getattr(self.columns, channel, None)
         if isinstance(value, AxisColumns):
             return tuple(k for k, axis in enumerate(AXES) if getattr(value, axis) is not None)
         return (0, 1, 2) if self.columns_of(channel) else ()
 
     def unit_of(self, channel: Channel) -> str:
-        """Return the unit of a mapped channel in its one spelling."""
+        """Return the unit of a mapped channel in its canonical spelling."""
         return canonical_unit(self.units.get(channel, ""), QUANTITY[channel])
 
     def scale_of(self, channel: str) -> ChannelScale:
@@ -164,13 +164,13 @@ class ColumnMap(TextLayout):
         return tuple(channel for channel in CHANNELS if self.columns_of(channel))
 
     def wanted(self, *, numeric: bool = False) -> Columns:
-        """Return the columns of all channels and the counter; ``numeric`` leaves out a time of dates."""
+        """Return the columns of all channels and the counter. With ``numeric``, a time column of dates is omitted."""
         dated = numeric and self.is_dated()
         channels = [*CHANNELS[dated:], "counter"]
         return tuple(column for channel in channels for column in self.columns_of(channel))
 
     def unread(self, names: Names) -> tuple[str, ...]:
-        """Return a note about the columns of a table that this map leaves out. Poses are a reference, not readings."""
+        """Return a note about the columns of a table that this map omits. Columns of poses are a reference and do not count."""
         left_out = [name for name in names if name not in (*self.wanted(), *QUATERNION, *POSITION, "moving")]
         text = f"These columns have other names than undrift's and were not read: {', '.join(left_out[:12])}."
         return (f"{text} Read them with a column map.",) if left_out else ()
@@ -180,12 +180,12 @@ class ColumnMap(TextLayout):
         return bool(self.columns_of("time")) and self.unit_of("time") == "date"
 
     def over(self, own: "ColumnMap") -> "ColumnMap":
-        """Return the map of a file that states its columns, with the keys of this map over it."""
+        """Return the map of a file that defines its columns, overridden with the keys of this map."""
         given = {key: getattr(self, key) for key in self.model_fields_set & {"gaps", "clock", "sample_rate_hz"}}
         return own.but(repair_time=self.repair_time or own.repair_time, **given)
 
     def beside(self, folder: Path) -> Self:
-        """Return the map with the thermometer's file in a folder."""
+        """Return the map with the path of the thermometer's file in a folder."""
         held = self.temp_file
         return self if held is None else self.but(temp_file=held.but(file=str((folder / held.file).resolve())))
 
@@ -200,7 +200,7 @@ def map_of_channels(columns: Mapping[str, Any], units: Mapping[Any, str], **keys
 
 @contextmanager
 def naming(source: str | Path) -> Iterator[None]:
-    """Name the file in errors."""
+    """Add the name of the file to errors."""
     try:
         yield
     except InputError as error:
@@ -209,7 +209,7 @@ def naming(source: str | Path) -> Iterator[None]:
 
 
 def check_parts(how: ColumnMap) -> None:
-    """Raise InputError if the files of a map do not make a recording together."""
+    """Raise InputError if the files of a map together do not form a recording."""
     for part in how.parts():
         check_map(part)
     for channel in ("gyro", "accel", "mag"):
@@ -228,12 +228,10 @@ def check_parts(how: ColumnMap) -> None:
 
 
 def check_map(how: ColumnMap) -> None:
-    """Raise InputError if the columns and units of a map do not make a recording, or a part of one."""
+    """Raise InputError if the columns and units of a map do not form a recording, or a part of a recording."""
     if not how.columns_of("gyro") and not how.columns_of("accel"):
         example = 'gyro = ["gx", "gy", "gz"], accel = ["ax", "ay", "az"], temp = "T"'
-        raise InputError(
-            f"columns: expected gyro or accel, got neither. Write, for example, columns = {{ {example} }}."
-        )
+        raise InputError(f"columns: expected gyro or accel, got neither. For example, write columns = {{ {example} }}.")
     for channel in how.mapped():
         _check_channel(how, channel)
     for one, other in itertools.combinations(CHANNELS, 2):
@@ -344,18 +342,18 @@ def read_map(path: str | Path, **choices: Any) -> ColumnMap:
 
 
 def file_map_of(how: ColumnMap, *, without: Sequence[str] = ()) -> FileMap:
-    """Return the keys that a map states as a value that a calibration keeps."""
+    """Return the keys of a map as a value that a calibration stores."""
     held = how.model_dump(mode="json", exclude_unset=True, exclude=set(without))
     return FileMap(json.dumps(held, ensure_ascii=False))
 
 
 def map_of(file_map: FileMap | None) -> ColumnMap:
-    """Return the map that a calibration keeps."""
+    """Return the map from the value that a calibration stores."""
     return READ_SETTINGS if file_map is None else ColumnMap.model_validate_json(file_map.text)
 
 
 def one_map(how: ColumnMap) -> ColumnMap:
-    """Return the map of one file; raise InputError for a map of several files."""
+    """Return the map of one file. Raise InputError for a map of several files."""
     parts = how.parts()
     if len(parts) > 1:
         raise InputError(

@@ -1,8 +1,8 @@
-"""From the named columns of a file to a Record: here, and only here, every value, unit and time that a reader returns is checked.
+"""Convert the named columns of a file to a Record. Every value, unit and time that a reader returns is checked here, and only here.
 
     value = gain * cell + offset          then the unit is applied; gain 1 and offset 0 unless a ChannelScale is given
 
-A reader returns a :class:`RawTable`. The map names its columns: a foreign map, or the one that the file states itself.
+A reader returns a :class:`RawTable`. The map assigns its columns. It is given by the caller or contained in the file.
 """
 
 import math
@@ -35,7 +35,7 @@ from undrift.io.labels import label_of
 from undrift.record import ForceUncertainty, Record, State, sample_rate_of
 from undrift.units import si_factor
 
-EPOCH_S = 1e8  # a clock beyond this counts from 1970: it is printed relative to its first sample
+EPOCH_S = 1e8  # a larger time counts from 1970 and is printed relative to the first sample
 KIND, FORMAT = "undrift.record", 1  # kind and format of undrift's own recordings, in Parquet and next to CSV
 
 
@@ -52,14 +52,12 @@ class RawTable:
     columns: tuple[Any, ...]
     # (N,), number of each row in the file, from 0, or None if no row was omitted
     rows: IntArray | None = None
-    dropped: int = 0  # Rows left out
-    own: ColumnMap | None = None  # map of the columns, if the file states it
-    marks: Mapping[str, Any] = field(
-        default_factory=dict
-    )  # state and uncertainties that the file states, keys of Record
+    dropped: int = 0  # number of omitted rows
+    own: ColumnMap | None = None  # map of the columns, if the file contains it
+    marks: Mapping[str, Any] = field(default_factory=dict)  # state and uncertainties from the file, as keys of Record
     notes: tuple[str, ...] = ()  # notes on the reading: units from a manual, skipped lines, omitted rows
-    epoch_s: float = 0.0  # Unix time that was taken off the clock, s
-    # time (M,), s on the recording's clock, and temperature (M,), degC, of a thermometer of its own
+    epoch_s: float = 0.0  # Unix time that was subtracted from the clock, s
+    # time (M,), s on the recording's clock, and temperature (M,), degC, of a separate thermometer
     thermometer: tuple[FloatArray, FloatArray] | None = None
 
     def __len__(self) -> int:
@@ -85,7 +83,7 @@ class RawTable:
         )
 
     def row(self, index: int) -> int:
-        """Return the number of a row in the file, from 1, the header not counted."""
+        """Return the number of a row in the file, from 1, without the header."""
         return int(index if self.rows is None else self.rows[index]) + 1
 
 
@@ -101,12 +99,12 @@ def is_date(cell: str) -> bool:
 
 
 def in_seconds(table: RawTable, column: Column) -> RawTable:
-    """Return the table with a column of dates converted to s from the first. Time zones are ignored. Times of day
+    """Return the table with a column of dates converted to s from the first date. Time zones are ignored. Times of day
     continue past midnight.
     """
     at = table.position(column)
     values = table.columns[at]
-    if not isinstance(values, np.ndarray):  # invalid UTF-8 is named below
+    if not isinstance(values, np.ndarray):  # invalid UTF-8 is reported below
         values = (values.cast("binary") if str(values.type) == "string" else values).to_numpy()
     if values.dtype.kind != "M":
         hits = [_DATE.fullmatch(str(_text(cell)).strip()) for cell in values]
@@ -176,7 +174,7 @@ def find_column(names: tuple[str, ...], column: Column, source: str) -> int:
 
 # ---- from a table and a map to a Record
 
-# Largest believable size of a reading, in its own unit: it finds a broken cell, not a wrong scale (io/symptoms.py does).
+# Largest plausible size of a reading, in its unit. It detects damaged cells. A wrong scale is detected by io/symptoms.py.
 _LARGEST = {
     "rad/s": 500.0, "dps": 30_000.0, "m/s2": 20_000.0, "g": 2_000.0, "mg": 2_000_000.0, "degc": 300.0, "ut": 100_000.0,
     "count": 2.0**24, "v": 1000.0,
@@ -187,18 +185,18 @@ _RATE_AGREES = 0.05
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ReadResult:
-    """A record and the count of rows left out to make it."""
+    """A record and the number of rows omitted from it."""
 
     record: Record
-    dropped_rows: int = 0  # Rows that did not parse
-    repaired_rows: int = 0  # Rows whose time did not go forward
+    dropped_rows: int = 0  # number of rows that could not be parsed
+    repaired_rows: int = 0  # number of rows whose time did not increase
     notes: tuple[str, ...] = ()  # notes on the reading: units from a manual, skipped lines, omitted rows
     clock: ClockFit | None = None  # fit of a regular clock
-    epoch_s: float = 0.0  # Unix time that was taken off the clock, s
+    epoch_s: float = 0.0  # Unix time that was subtracted from the clock, s
 
     @property
     def remarks(self) -> tuple[Finding, ...]:
-        """How the file was read: skipped columns, assumed units, rows left out, a fitted clock."""
+        """Return findings about reading the file: skipped columns, assumed units, omitted rows, a fitted clock."""
         remarks = [finding("recording.how_read", "info", note) for note in self.notes]
         remarks += rows_left_out(self.dropped_rows, "they did not parse")
         remarks += rows_left_out(self.repaired_rows, "their time did not go forward")
@@ -237,7 +235,7 @@ def build_record(table: RawTable, column_map: ColumnMap | None = None) -> ReadRe
         values = {channel: value[keep] for channel, value in values.items()}
     _check_rate(table, time, how)
     for array in (time, *values.values()):
-        array.flags.writeable = False  # a record takes them as they are
+        array.flags.writeable = False  # a record accepts them unchanged
     temp = values.get("temp")
     marks: dict[str, Any] = {"frame": how.frame, "device": how.device} | (dict(table.marks) if not given else {})
     record = Record(
@@ -261,19 +259,17 @@ def build_record(table: RawTable, column_map: ColumnMap | None = None) -> ReadRe
 
 
 def _unused_time(table: RawTable, how: ColumnMap) -> list[str]:
-    """Return a note if a map without a time column leaves the file's own time unused."""
+    """Return a note if a map has no time column although the file has one."""
     labels = {k: label_of(name.rpartition(".")[2]) for k, name in enumerate(table.names)}
     times = [k for k, label in labels.items() if label and label.channel == "time"]
     if how.columns_of("time") or not times:
         return []
     by = f"time is counted with sample_rate_hz = {how.sample_rate_hz:g}"
-    return [f"{by}: the map does not name the time column {table.names[times[0]]!r} of the file"]
+    return [f"{by}: the map does not use the time column {table.names[times[0]]!r} of the file"]
 
 
 def with_temperature(record: Record, time: FloatArray, temp_c: FloatArray) -> Record:
-    """Return a record with temperatures (M,), degC, at times (M,), s, interpolated onto its samples and constant beyond
-    the ends.
-    """
+    """Return a record with temperatures (M,), degC, at times (M,), s, interpolated to its samples and constant beyond the ends."""
     known = np.isfinite(time) & np.isfinite(temp_c)
     if not known.any():
         raise InputError("temperature: expected one reading or more, got none. Omit the temperature file.")
@@ -285,19 +281,19 @@ def with_temperature(record: Record, time: FloatArray, temp_c: FloatArray) -> Re
 
 
 def read_time(table: RawTable, how: ColumnMap) -> tuple[FloatArray, BoolArray | None, ClockFit | None]:
-    """Return the time of the rows that stay, s, which rows these are (None: all), and the regular clock if one was fitted."""
+    """Return the time of the remaining rows, s, the selection of rows (None: all), and the regular clock if one was fitted."""
     time, counter = _time(table, how), how.columns_of("counter")
     if how.clock == "file":
         keep = _forward(table, time, how)
         return (time if keep is None else time[keep]), keep, None
-    # equal stamps are a host's, and stay
+    # equal time stamps are from a host, and are kept
     keep = time >= np.maximum.accumulate(time) if how.repair_time else np.ones(len(time), dtype=np.bool_)
     kept = None if keep.all() else keep
     counts = table.numbers(counter[0])[keep] if counter else None
     with naming(table.source):
         if how.columns_of("time"):
             fit = fit_clock(time[keep], counts)
-        elif counts is not None:  # the counter shows the gaps
+        elif counts is not None:  # the counter determines the gaps
             fit = fit_clock(unwrapped(counts) / (how.sample_rate_hz or np.nan), counts)
         else:
             return time[keep], kept, None
@@ -308,7 +304,7 @@ def _time(table: RawTable, how: ColumnMap) -> FloatArray:
     """Return the time of every row, s, before rows are left out."""
     if not how.columns_of("time"):
         rows = np.arange(len(table)) if table.rows is None else table.rows - table.rows[0]
-        return rows / (how.sample_rate_hz or np.nan)  # check_map has seen to it that the rate is there
+        return rows / (how.sample_rate_hz or np.nan)  # check_map has made sure that there is a rate
     (column,) = how.columns_of("time")
     time = table.numbers(column)
     bad = np.flatnonzero(~np.isfinite(time))
@@ -411,8 +407,8 @@ def _channel(table: RawTable, how: ColumnMap, channel: Channel) -> FloatArray:
 
 
 def _check_values(table: RawTable, name: str, values: FloatArray, limit: float, unit: str, *, keep_gaps: bool) -> None:
-    """Refuse gaps, unless they are kept, and readings beyond the largest that a sensor gives."""
-    if float(values.min()) >= -limit and float(values.max()) <= limit:  # NaN fulfils neither
+    """Raise for gaps, unless they are kept, and for readings beyond the largest plausible value of a sensor."""
+    if float(values.min()) >= -limit and float(values.max()) <= limit:  # NaN fulfils neither condition
         return
     gap = np.isnan(values)
     if gap.any() and not keep_gaps:
@@ -436,7 +432,7 @@ def _check_values(table: RawTable, name: str, values: FloatArray, limit: float, 
 
 
 def _other_unit(wild: FloatArray, unit: str) -> str:
-    """Return which other unit readings beyond the largest of a unit may be in."""
+    """Return, as a question, the unit that readings beyond the largest plausible value may have."""
     if unit == "degc" and bool(((wild > _KELVIN[0]) & (wild < _KELVIN[1])).all()):
         return ": is the temperature in K, not degC?"
     return ": is the gyroscope in mdeg/s, not deg/s, or in counts?" if unit == "dps" else ""
@@ -446,7 +442,7 @@ def _other_unit(wild: FloatArray, unit: str) -> str:
 
 
 def native_columns(record: Record) -> tuple[tuple[str, ...], tuple[FloatArray, ...]]:
-    """Return a record as named columns, undrift's own names."""
+    """Return a record as columns with undrift's own names."""
     names, columns = ["time_s"], [record.time]
     for channel, unit, values in (
         ("gyro", record.gyro_unit, record.gyro),
@@ -471,7 +467,7 @@ def marks_of(record: Record) -> dict[str, Any]:
 
 
 def read_marks(held: Mapping[str, Any], error: str) -> dict[str, Any]:
-    """Return frame, state, device and uncertainties, as keys of Record, that undrift wrote beside a table, each checked."""
+    """Return frame, state, device and uncertainties that undrift wrote with a table, checked, as keys of Record."""
     marks = {key: held.get(key, "") for key in ("frame", "state", "device")}
     rate, force = held.get("offset_uncertainty"), held.get("accel_uncertainty")
     sound = marks["frame"] in get_args(Frame) and marks["state"] in get_args(State) and isinstance(marks["device"], str)
@@ -487,7 +483,7 @@ def read_marks(held: Mapping[str, Any], error: str) -> dict[str, Any]:
 def of_channels(
     path: Path, time: FloatArray, channels: Mapping[str, tuple[Any, str]], how: ColumnMap, **about: Any
 ) -> RawTable:
-    """Return a table of named channels with their units; a Unix clock is counted from its start."""
+    """Return a table of named channels with their units. A Unix clock is counted from its start."""
     time, notes = np.asarray(time, dtype=np.float64), tuple(about.pop("notes", ()))
     if len(time) and time[0] > EPOCH_S:
         notes, time = (f"time 0 is {time[0]:.3f} s of the file's clock (Unix time)", *notes), time - time[0]

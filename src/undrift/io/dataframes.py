@@ -1,4 +1,4 @@
-"""Data frames as records and back: pandas, and all libraries that support Arrow, such as polars. pandas is imported
+"""Conversion between records and data frames of pandas, and of all libraries that support Arrow, such as polars. pandas is imported
 only to create a frame.
 """
 
@@ -69,9 +69,9 @@ def read_frame(
 
 
 def _columns_of(frame: Any) -> tuple[dict[str, Any], Any, dict[str, Any]]:
-    """Return the columns by name, the index where there is one, and undrift's marks."""
+    """Return the columns by name, including the index if there is one, and undrift's marks."""
     raw = {"frame": "s", "state": "raw"}
-    if hasattr(frame, "iloc"):  # a frame of pandas
+    if hasattr(frame, "iloc"):  # a pandas frame
         columns = {str(name): frame.iloc[:, k] for k, name in enumerate(frame.columns)}
         return columns, frame.index, frame.attrs.get("undrift", raw)
     import pyarrow as pa
@@ -111,12 +111,12 @@ def _is_clock(index: Any) -> bool:
 
 
 def _plain(names: Sequence[str]) -> dict[str, str | tuple[str, ...]]:
-    """Return the channels that a table has under undrift's names without units."""
+    """Return the channels of a table that have undrift's names without units."""
     return {key: want for key, want in NAMES.items() if set((want,) if isinstance(want, str) else want) & set(names)}
 
 
 def _numbers(values: Any, dated: bool) -> Any:
-    """Return a column as float64, with dates in s from the first. Text is returned unchanged, so that a later error
+    """Return a column as float64, with dates in s from the first date. Text is returned unchanged, so that a later error
     can quote it.
     """
     arrow = isinstance(values, np.ndarray)

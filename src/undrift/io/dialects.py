@@ -1,12 +1,12 @@
 """Text exports of makers as data. A TOML file in ``maps`` defines how a maker's file is recognised and which units its
 manual specifies.
 
-A new maker needs only a new file in ``maps``::
+For a new maker, only a new file in ``maps`` is needed::
 
     # step_logger.toml
     maker = "StepLogger"
     head = '\\A# StepLogger \\d'                # pattern of the first 8 KiB of a file
-    units = { gyro = "dps", accel = "g" }     # units of the manual, for columns that state none
+    units = { gyro = "dps", accel = "g" }     # units from the manual, for columns without a unit
     device = '^# unit (\\w+)'                  # pattern in the lines before the header; its group is the serial number
     rate = '^# rate (\\d+)'                    # sample rate, Hz
 
@@ -43,12 +43,12 @@ class MapTable(BaseModel):
 
 
 class MapCounter(MapTable):
-    """A column in which the device counts."""
+    """A column with a counter of the device."""
 
-    column: str  # Pattern of its name
-    bits: int  # The count starts again at 0 after so many
+    column: str  # pattern of the column's name
+    bits: int  # number of counts after which the counter restarts at 0
     step_s: float | None = None  # time between two counts, or 1 / sample rate
-    absolute: bool = False  # Several files share the clock: time starts at its first count, not at 0
+    absolute: bool = False  # True if several files share the clock: time starts at the first count, not at 0
     note: str = ""
 
 
@@ -56,31 +56,31 @@ class MapThermometer(MapTable):
     """A separate file with the temperature, degC."""
 
     file: str  # name of the file, with "*" for the part that differs between recordings
-    time: str  # Column of time, of the same name in the recording
-    temp: str  # Column of temperature
+    time: str  # time column, with the same name as in the recording
+    temp: str  # temperature column
 
 
 class Dialect(MapTable):
     """The text table format of a maker's software."""
 
-    maker: str  # device whose manual states the units
-    head: Pattern  # In the first 8 KiB of a file
-    folder: str = ""  # File to read of a folder: its name, or "*" and its ending
-    units: dict[str, str] = {}  # From the manual, for channels whose columns state none
+    maker: str  # device whose manual contains the units
+    head: Pattern  # pattern in the first 8 KiB of a file
+    folder: str = ""  # file of a folder that is read: its name, or "*" and its ending
+    units: dict[str, str] = {}  # units from the manual, for channels whose columns have no unit
     device: str = ""  # pattern in the lines before the header, with the serial number as its group
     device_in_name: Pattern | None = None  # pattern of the device in the name of the file
     rate: str = ""  # pattern in the lines before the header, with the sample rate as its group, Hz
-    channel_line: Pattern | None = None  # Line before the header that states name, sensor, signal, rate, unit and time
+    channel_line: Pattern | None = None  # line before the header with name, sensor, signal, rate, unit, time
     packets: MapCounter | None = None  # counter of the packets: a skipped number is a lost packet
-    stamps: MapCounter | None = None  # Clock of the device
-    omit: Pattern | None = None  # Columns that are not readings of a sensor
-    sensor: tuple[str, str] | None = None  # Pattern in the name of a sensor, and its replacement
-    whole_names: bool = False  # A sensor keeps its name in a file of one sensor
-    repair_time: bool = False  # Stamps may repeat: such rows are left out and counted
+    stamps: MapCounter | None = None  # clock of the device
+    omit: Pattern | None = None  # columns that are not readings of a sensor
+    sensor: tuple[str, str] | None = None  # pattern in the name of a sensor, and its replacement
+    whole_names: bool = False  # True if a sensor keeps its name in a file with one sensor
+    repair_time: bool = False  # True if time stamps may repeat: such rows are omitted and counted
     thermometer: MapThermometer | None = None
 
     def recognises(self, path: Path, head: bytes) -> bool:
-        """Return whether the first bytes of a file, or the names in a folder, are of this maker."""
+        """Return True if the first bytes of a file, or the names in a folder, match this maker."""
         if not head:
             return bool(self.folder) and any(path.glob(self.folder))
         return b"\0" not in head and self.head.search(head.decode("latin-1")) is not None
@@ -98,11 +98,11 @@ class Dialect(MapTable):
         matches = sorted(path.glob(self.folder))
         if len(matches) != 1:
             names = ", ".join(file.name for file in matches) or "none there"
-            raise InputError(f"{path}: expected one {self.folder}, got {names}. Name the file.")
+            raise InputError(f"{path}: expected one {self.folder}, got {names}. Give the path of one file.")
         return matches[0]
 
     def _labelled(self, path: Path) -> Sheet:
-        """Return a sheet with its labels, device and notes."""
+        """Return a sheet with labels, device and notes."""
         sheet = open_sheet(path, self.units, whole_names=self.whole_names)
         device, rate = (_stated(pattern, sheet.text.preamble) for pattern in (self.device, self.rate))
         names = self.device_in_name.findall(path.name) if self.device_in_name else []
@@ -113,7 +113,7 @@ class Dialect(MapTable):
             in_file = {label.channel for label in labelled(sheet.text).labels if label and label.unit}
             assumed = {label.channel for label in labels if label and label.unit} - in_file
             if units := ", ".join(f"{channel} {unit}" for channel, unit in self.units.items() if channel in assumed):
-                notes = (f"units by the manual of {self.maker}, not in the file: {units}",)
+                notes = (f"units from the manual of {self.maker}, not from the file: {units}",)
             labels = tuple(map(self._own, sheet.text.names, labels))
         return replace(
             sheet,
@@ -125,7 +125,7 @@ class Dialect(MapTable):
         )
 
     def _own(self, name: str, label: Label | None) -> Label | None:
-        """Return the label of a column by the rules of the maker."""
+        """Return the label of a column according to the rules of the maker."""
         if label is None or (self.omit and self.omit.search(name)):
             return None
         if self.sensor:
@@ -133,12 +133,12 @@ class Dialect(MapTable):
         return label
 
     def _with_clock(self, sheet: Sheet, rate_hz: float | None) -> Sheet:
-        """Return a sheet with the clock of its packets or of its stamps. Lost packets become gaps in time."""
+        """Return a sheet with the clock of its packets or its time stamps. Lost packets become gaps in time."""
         packets, stamps = (None if c is None else sheet.position(c.column) for c in (self.packets, self.stamps))
         absolute = self.stamps is not None and self.stamps.absolute
         if absolute and (packets is None or stamps is None):
             raise FileFormatError(
-                f"{sheet.path}: expected the columns of the packet counter and of its stamps, got "
+                f"{sheet.path}: expected the columns of the packet counter and of its time stamps, got "
                 f"{', '.join(sheet.text.names[:8])}. Export them too."
             )
         by_rate = packets is not None and rate_hz is not None and not absolute
@@ -152,7 +152,9 @@ class Dialect(MapTable):
             numbers = (_from_zero(sheet, other, self.packets) for other in packet)
             lost = (int(number[-1]) + 1 - len(number) for number in numbers if len(number))
             notes = [
-                f"{n} of {n + len(count)} packets lost by PacketCounter, seen as gaps in time" for n in lost if n > 0
+                f"{n} of {n + len(count)} packets lost according to PacketCounter are gaps in time"
+                for n in lost
+                if n > 0
             ]
             note = [counter.note] if counter.note else []
             return step_s * (start + _from_zero(sheet, count, counter)), (*note, *notes)
@@ -211,7 +213,7 @@ def _labels_of_lines(pattern: re.Pattern[str], sheet: Sheet) -> tuple[Label | No
 
 
 def _from_zero(sheet: Sheet, counts: FloatArray, counter: MapCounter | None) -> FloatArray:
-    """Return a counter from 0 on, without its overflows. A step of half its range or more is a step back."""
+    """Return a counter that starts at 0, without overflows. A step of half its range or more is a step back."""
     size = 1 << (counter.bits if counter else 32)
     steps = np.mod(np.diff(counts), size)
     if (back := np.flatnonzero(steps > size // 2)).size:

@@ -1,8 +1,7 @@
 """The single entry point for all recordings. The content of a file determines its reader.
 
-A format is a line of FORMATS. It names the function that recognises its files, the readers for Record, Markers or
-Reference. A reader of recordings returns a table, or a Record. Another package adds a format with the entry-point group
-``undrift.formats``::
+A format is a line of FORMATS. It names the function that recognises its files, the readers for Record, Markers or Reference. A
+reader of recordings returns a table or a Record. Another package can add a format with the entry-point group ``undrift.formats``::
 
     [project.entry-points."undrift.formats"]
     logger = "their_package.logger:FORMAT"         # FORMAT = Format(recognise, record=read_logger)
@@ -69,14 +68,14 @@ Reader = Callable[[Path, ColumnMap], RawTable | Record]
 class Format:
     """One kind of file or folder."""
 
-    recognise: Callable[[Path, bytes], bool]  # from the path and the first 8 KiB, unpacked (b"" for a folder)
+    recognise: Callable[[Path, bytes], bool]  # function of the path and the first 8 KiB, unpacked (b"" for a folder)
     record: Reader | None = None
     markers: Callable[[Path, Up | None], Markers] | None = None
     reference: Callable[[Path, ReferenceMap | None], Reference] | None = None
-    bodies: Callable[[Path, str | None, Up | None], Reference] | None = None  # One of several named bodies
-    by_map: bool = False  # The record reader takes the columns of a map
+    bodies: Callable[[Path, str | None, Up | None], Reference] | None = None  # reader of one of several named bodies
+    by_map: bool = False  # True if the record reader accepts the columns of a map
     instead: str = ""  # description of a file without a record reader, and advice
-    generic: bool = False  # Tried after all others
+    generic: bool = False  # True if the format is tried after all others
 
 
 def _line(head: bytes, number: int) -> str:
@@ -90,7 +89,7 @@ def _suffix(path: Path) -> str:
 
 
 def _is_zip_with(name: str) -> Callable[[Path, bytes], bool]:
-    """Recognise a zip that has a file of a name."""
+    """Recognise a zip archive that contains a file with a name."""
 
     def recognised(path: Path, head: bytes) -> bool:
         if not head.startswith(b"PK\x03\x04"):
@@ -103,7 +102,7 @@ def _is_zip_with(name: str) -> Callable[[Path, bytes], bool]:
 
 def _is_json(path: Path, head: bytes) -> bool:
     lines = [line.strip() for line in head.splitlines()[:2]]
-    if _suffix(path) == ".json":  # lines of JSON, each an object, are a log by any name
+    if _suffix(path) == ".json":  # lines that are JSON objects are a log, whatever the file name
         return len(lines) < 2 or not all(line.startswith(b"{") and line.endswith(b"}") for line in lines)
     if _line(head, 0).lstrip()[:1] not in ("{", "["):
         return False
@@ -120,13 +119,13 @@ def _starts(mark: bytes) -> Callable[[Path, bytes], bool]:
 
 
 def _has(pattern: bytes) -> Callable[[Path, bytes], bool]:
-    """Recognise a text by a pattern in its head."""
+    """Recognise a text by a pattern at its start."""
     text = re.compile(pattern, re.MULTILINE)
     return lambda _, head: b"\0" not in head and text.search(head) is not None
 
 
 def _foreign(recognise: Callable[[Path, bytes], bool]) -> Callable[[Path, bytes], bool]:
-    """Recognise a text that is not undrift's own."""
+    """Recognise a text that undrift did not write."""
 
     def recognised(path: Path, head: bytes) -> bool:
         own = is_native(_line(head, 0).replace('"', "").split(","))
@@ -152,17 +151,17 @@ _MARKERS = (
     "marker trajectories. Read them as a reference, with the labels of one rigid cluster and the axis that points up."
 )
 _BAGS = (b"#ROSBAG V2.0", b"SQLite format 3\0", b"\x89MCAP0\r\n")
-_UNPACKED = "a zip archive or an Excel workbook. Unpack it and name the folder, or save the sheet as CSV."
+_UNPACKED = "a zip archive or an Excel workbook. Unpack it and give the folder, or save the sheet as CSV."
 
 FORMATS: dict[str, Format] = {
     "parquet": Format(_starts(b"PAR1"), record=read_parquet, reference=read_parquet_poses, by_map=True),
     "mat": Format(
         _starts(b"MATLAB"), record=read_mat, reference=lambda p, c: read_array_poses(mat_arrays(p), p, c), by_map=True
     ),
-    "hdf5": Format(_starts(_HDF5), instead="HDF5. Make a frame of its arrays in Python and use Record.from_frame."),
+    "hdf5": Format(_starts(_HDF5), instead="HDF5. Create a frame from its arrays in Python and use Record.from_frame."),
     "npz": Format(
         lambda path, head: head.startswith(b"PK\x03\x04") and _suffix(path) == ".npz",
-        instead="numpy arrays. Make a frame of them in Python and use Record.from_frame.",
+        instead="numpy arrays. In Python, create a frame from them and use Record.from_frame.",
     ),
     "cwa": Format(
         lambda path, head: head.startswith(b"MD") and (head[2:4] == b"\xfc\x03" or _suffix(path) == ".cwa"),
@@ -257,7 +256,7 @@ def format_of(path: str | Path) -> tuple[str, Format]:
     folders = ", ".join(f"{dialect.folder} ({dialect.maker})" for dialect in dialects().values() if dialect.folder)
     raise InputError(
         f"{path}: expected a file, or a folder with session.toml, {folders}, Gyroscope.csv and an accelerometer's (phone) or "
-        "metadata.yaml (ROS 2), got another directory. Name a file in it."
+        "metadata.yaml (ROS 2), got another directory. Give a file in it."
     )
 
 
@@ -275,20 +274,20 @@ def read_record(path: str | Path, column_map: ColumnMap | None = None) -> Record
         Text table (plain or gzip), Parquet, mat, a maker's export, XDF, ROS bag, PX4 ULog, Axivity, GENEActiv, GT3X, NilsPod, or an
         NGIMU, x-IMU, x-IMU3 or ROS 2 folder.
     column_map : ColumnMap or None
-        Columns and units where neither the format nor undrift's own names state them; sample rate, sensor and gaps where the
-        file leaves them unstated.
+        Columns and units, if neither the format nor undrift's own names define them. Sample rate, sensor and gaps, if the file does
+        not define them.
 
     Returns
     -------
     Record
-        Time in s; gyro and accel in the unit of the file or map.
+        Record with time in s, and gyro and accel in the unit of the file or map.
 
     Raises
     ------
     InputError
-        No such file; a file that needs a map, a rate or the name of a sensor; bad data.
+        The file does not exist, needs a map, a rate or the name of a sensor, or contains bad data.
     FileFormatError
-        Not a recording, or a damaged one.
+        The file is not a recording, or is damaged.
 
     Examples
     --------
@@ -307,7 +306,7 @@ def read_record(path: str | Path, column_map: ColumnMap | None = None) -> Record
 
 
 def read_counted(path: str | Path, column_map: ColumnMap | None = None) -> ReadResult:
-    """Read a recording and the count of rows left out."""
+    """Read a recording and the number of omitted rows."""
     path, how = Path(path), one_map(column_map or READ_SETTINGS)
     name, entry = format_of(path)
     if how.columns and not entry.by_map and (entry.record or name == "text"):
@@ -325,14 +324,14 @@ def read_counted(path: str | Path, column_map: ColumnMap | None = None) -> ReadR
 
 
 def settled(result: ReadResult, how: ColumnMap) -> ReadResult:
-    """Apply the stretches to leave out and the thermometer of a map."""
+    """Apply the omitted stretches and the thermometer of a map."""
     if how.leave_out:
         spans = ", ".join(f"{start:g} to {stop:g} s" for start, stop in how.leave_out)
-        notes = (*result.notes, f"left out as stated: {spans}")
+        notes = (*result.notes, f"left out as specified: {spans}")
         result = replace(result, record=without(result.record, how.leave_out), notes=notes)
     if how.temp_file is None:
         return result
-    note = f"temperature of {Path(how.temp_file.file).name}, interpolated onto the samples"
+    note = f"temperature from {Path(how.temp_file.file).name}, interpolated onto the samples"
     return replace(result, record=_with_thermometer(result.record, how.temp_file), notes=(*result.notes, note))
 
 
@@ -348,17 +347,15 @@ def _with_thermometer(record: Record, thermometer: TempFile) -> Record:
     known = time[np.isfinite(time) & np.isfinite(temp_c)]
     if len(known) and (known.max() < record.time[0] or known.min() > record.time[-1]):
         raise InputError(
-            f"{thermometer.file}: expected temperatures from {record.time[0]:.6g} to {record.time[-1]:.6g} s, "
-            f"the recording's clock, got {known.min():.6g} to {known.max():.6g} s. Set temp_file.shift_s, in s."
+            f"{thermometer.file}: expected temperatures from {record.time[0]:.6g} to {record.time[-1]:.6g} s on the recording's "
+            f"clock, got {known.min():.6g} to {known.max():.6g} s. Set temp_file.shift_s, in s."
         )
     with naming(thermometer.file):
         return with_temperature(record, time, temp_c)
 
 
 def without(record: Record, stretches: Sequence[tuple[float, float]]) -> Record:
-    """Return a record without stretches of its clock, s. At the ends they are cut off. In between, their readings
-    become gaps.
-    """
+    """Return a record without some stretches, s on its clock. Stretches at the ends are cut off. Others become gaps."""
     time, out = record.time, np.zeros(len(record), dtype=np.bool_)
     for start, stop in stretches:
         out |= (among := (time >= start) & (time < stop))
@@ -407,12 +404,12 @@ def write_record(record: Record, path: str | Path) -> None:
     record : Record
         Readings.
     path : str or Path
-        NAME.parquet, NAME.csv or NAME.csv.gz (frame, state and device in NAME.csv.json beside it).
+        NAME.parquet, NAME.csv or NAME.csv.gz (with frame, state and device in NAME.csv.json).
 
     Raises
     ------
     InputError
-        Another ending, or a file that cannot be written.
+        The ending is unknown, or the file cannot be written.
 
     Examples
     --------
@@ -440,23 +437,23 @@ def read_reference(
     path : str or Path
         CSV, Parquet or mat with quaternions; OpenSim .sto, Xsens; markers in C3D or TRC.
     columns : ReferenceMap or None
-        For foreign names; None for undrift's own.
+        Map for foreign names, or None for undrift's own names.
     labels : tuple of str or None
-        Markers of one rigid cluster, for C3D and TRC; or the name of one body (.sto).
+        Markers of one rigid cluster (C3D and TRC), or the name of one body (.sto).
     up : str or None
-        Laboratory axis that points up, "y" or "z": required for TRC, and for C3D files that do not state it.
+        Laboratory axis that points up, "y" or "z". Required for TRC, and for C3D files that do not contain it.
 
     Returns
     -------
     Reference
-        q_nb, position m where there is one, gaps NaN.
+        q_nb, position in m if there is one, and NaN in gaps.
 
     Raises
     ------
     InputError
-        No such file; marker files without labels or axis; columns that are not there; quaternions that are none.
+        The file does not exist, markers have no labels or axis, columns are missing, or quaternions are invalid.
     FileFormatError
-        A damaged file, or one of another kind.
+        The file is damaged, or of another kind.
     """
     path = Path(path)
     name, entry = format_of(path)
@@ -470,7 +467,7 @@ def read_reference(
         return pose_from_cluster(markers, labels)
     if entry.bodies is not None:
         if labels is not None and len(labels) > 1:
-            raise InputError(f"{path}: expected the name of one body, got {', '.join(labels)}. Name one of them.")
+            raise InputError(f"{path}: expected the name of one body, got {', '.join(labels)}. Choose one of them.")
         return entry.bodies(path, labels[0] if labels else None, up)
     if entry.reference is None:
         raise FileFormatError(f"{path}: expected poses (C3D, TRC, or a table with q_w, q_x, q_y, q_z), got {name}")
@@ -478,7 +475,7 @@ def read_reference(
 
 
 def holds_poses(path: str | Path) -> bool:
-    """Return whether a recording with undrift's own names also has poses in it, in CSV or Parquet."""
+    """Return True if a recording with undrift's own names, in CSV or Parquet, also contains poses."""
     name, _ = format_of(path)
     names = parquet_names(path) if name == "parquet" else open_text(path).names if name == "csv" else ()
     return is_native(names) and native_reference(names) is not None

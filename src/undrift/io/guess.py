@@ -1,7 +1,7 @@
-"""The map that a foreign table may need, as a proposal for a person. Readers never guess.
+"""Proposal of the map that a foreign table may need, for a person to check. Readers never guess.
 
-Channel and unit come from names or from the readings: gravity has constant length on three axes, a quaternion has
-length 1, a counter increases. An unknown unit is "?".
+Channel and unit come from names or from the readings: gravity has a constant length on three axes, a quaternion has length 1, and a
+counter increases. An unknown unit is "?".
 """
 
 import json
@@ -26,7 +26,7 @@ _QUATERNION = re.compile(
     r"(?i)^(?P<stem>.*?)(?P<part>[wxyz]|[0-3])\]?( element)?$"
 )  # w, qw, q0, seg2_quat_w, QUATERNION_0
 _TURNS = re.compile(r"(?i)^$|quat|^q[_.\[]*$|[_. ]q[_.\[]*$|orient|rotat")  # text before w, x, y, z
-_UNITS = {  # units that a name may state, besides those that a reader accepts
+_UNITS = {  # units that a name may contain, in addition to those that a reader accepts
     "time": (
         ("us", r"\(?\bus\b|_us\b|micros"),
         ("ms", r"\bms\b|_ms\b|millis"),
@@ -43,9 +43,9 @@ _NO_SENSOR = re.compile(
 )
 # |a| at rest in each unit. An integer sensor of +-2 to +-16 g reads 1,000 to 20,000 counts and more.
 _AT_REST = {"g": (0.8, 1.25), "m/s2": (7.8, 12.3), "mg": (800.0, 1250.0), "count": (1250.0, 1e7)}
-_STEP = {"s": (2e-4, 0.2), "ms": (0.2, 200.0), "us": (200.0, 2e5), "ns": (2e5, 2e8)}  # between samples, 5 Hz to 5 kHz
-# The largest rate: 36 rad/s were more than the 2000 deg/s that gyroscopes reach. Below, noise tells: at rest it is 0.03 to
-# 0.3 deg/s, or 0.0005 to 0.005 rad/s
+_STEP = {"s": (2e-4, 0.2), "ms": (0.2, 200.0), "us": (200.0, 2e5), "ns": (2e5, 2e8)}  # time steps, 5 Hz to 5 kHz
+# Limit of the rate: 36 rad/s would exceed the 2000 deg/s that gyroscopes reach. Smaller rates are distinguished by their noise at
+# rest, which is 0.03 to 0.3 deg/s, or 0.0005 to 0.005 rad/s
 _RATE, _SPREAD_RAD_S = {"rad/s": (1.0, 36.0), "dps": (36.0, 4500.0)}, 0.01
 _COUNTS = 200.0  # largest whole number of a sensor in physical units
 _TEMP_C, _WARM_C = (-30.0, 90.0), 12.0
@@ -54,7 +54,7 @@ _STATED_RATE = re.compile(
 )
 _STATED_NAME = re.compile(r"(?i)(^|[._])(fs|sampl\w*_?(rate|freq\w*)(_hz)?)$")
 _COUNTER = re.compile(r"(?i)^(packet|sample|frame)?[ _]?counter$")
-_OF_GYRO = re.compile(r"(?i)^(?!.*(acc|imu)).*(gyr|angular)")  # the name of a file of one sensor
+_OF_GYRO = re.compile(r"(?i)^(?!.*(acc|imu)).*(gyr|angular)")  # names of files with one sensor
 _NAMED = {
     "time": re.compile(r"(?i)(\w*time|(?-i:t)|ts|timestamp|millis|micros)([ _\[(].*)?$"),
     "temp": re.compile(r"(?i)(board |die )?(temp(?!o\b|s\b)|tmp$|thermo|(?-i:T)$)"),
@@ -65,19 +65,19 @@ _NAMED = {
 class MapProposal:
     """Proposed map of a table. A unit or rate that the table does not determine is "?", for a person to fill in."""
 
-    columns: dict[str, Any]  # column or columns of each channel; of orientations: time or counter, quaternion
+    columns: dict[str, Any]  # column or columns of each channel; for orientations: time or counter, quaternion
     units: dict[str, str]
     reasons: dict[str, str] = field(default_factory=dict)  # number that suggests a unit, if no name contains it
     rate: str = ""  # sample rate of a table without time, Hz, with its source; "?" if it is unknown
-    layout: dict[str, Any] = field(default_factory=dict)  # keys of a text layout that are not usual
-    others: str = ""  # first columns of other sensors in the file, which are not taken
-    clock: str = ""  # key for time stamps that a reader refuses without it
+    layout: dict[str, Any] = field(default_factory=dict)  # keys of a text layout that differ from the default
+    others: str = ""  # first columns of other sensors in the file, which are not used
+    clock: str = ""  # key that a reader needs to accept the time stamps
 
     def lines(self) -> tuple[str, ...]:
         """Return the lines of the map."""
         why = "; ".join(f"{channel} by {reason}" for channel, reason in self.reasons.items())
         lines = [
-            f"columns = {{ {_table(self.columns)} }}" + f"  # one sensor; not taken: {self.others}" * bool(self.others)
+            f"columns = {{ {_table(self.columns)} }}" + f"  # one sensor; not used: {self.others}" * bool(self.others)
         ]
         lines += [f"units = {{ {_table(self.units)} }}" + f"  # proposed: {why}" * bool(why)] if self.units else []
         lines += [f"sample_rate_hz = {self.rate}"] if self.rate else []
@@ -98,7 +98,7 @@ class MapProposal:
             rate = f"{sample_rate_hz:g}"
         given = {key: unit for key, unit in units.items() if unit is not None and key in self.units}
         all_units = self.units | given
-        why = dict.fromkeys(self.units, "by the name of its column")
+        why = dict.fromkeys(self.units, "from the name of its column")
         why |= {key: f"proposed by {reason}" for key, reason in self.reasons.items()} | dict.fromkeys(given, "as given")
         unknown = "not determined by name or readings: check the channel, and enter the unit"
         why |= {key: unknown for key, x in all_units.items() if x == "?"}
@@ -165,7 +165,7 @@ def is_nameless(text: Text | None) -> bool:
 def triples_of(names: tuple[str, ...]) -> dict[tuple[str, str, str], str]:
     """Return names that differ only in an x, y, z, or in a number 0, 1, 2 or 1, 2, 3 at their end: three axes of a quantity.
 
-    Each has the name of its first axis, with x in place of a number.
+    Each quantity is named after its first axis, with x instead of a number.
     """
     name_set, triples = {name for name in names if names.count(name) == 1}, dict[tuple[str, str, str], str]()
     for name in filter(name_set.__contains__, names):
@@ -176,7 +176,7 @@ def triples_of(names: tuple[str, ...]) -> dict[tuple[str, str, str], str]:
         for at, marks in axes:
             x, y, z = (f"{name[:at]}{mark}{name[at + 1 :]}" for mark in marks)
             numbers = (int(marks[0]) - 1, int(marks[0]) + 3) if marks[0].isdigit() else ()
-            numbered = {f"{name[:at]}{number}{name[at + 1 :]}" for number in numbers}  # a fourth one: no three axes
+            numbered = {f"{name[:at]}{number}{name[at + 1 :]}" for number in numbers}  # a fourth one: not three axes
             if name_set.issuperset((x, y, z)) and name_set.isdisjoint(numbered):
                 triples[x, y, z] = f"{name[:at].strip('_[ ')} x" if numbers else x
     return triples
@@ -191,11 +191,11 @@ def _sixes(names: Sequence[str]) -> list[str]:
 
 
 def propose(table: RawTable, text: Text | None = None) -> MapProposal:
-    """Return the map that a table of readings or of orientations seems to need."""
+    """Return the map that a table of readings or of orientations probably needs."""
     columns, others = (_by_position(table), "") if is_nameless(text) else _by_name(table)
     if text and (quaternion := _quaternion(table)):
         columns, others = {"quaternion": quaternion}, ""
-        for key, pattern in (("counter", _COUNTER), ("time", _NAMED["time"])):  # the last counts
+        for key, pattern in (("counter", _COUNTER), ("time", _NAMED["time"])):  # the last one is used
             name = next((name for name in table.names if pattern.match(name.strip())), None)
             columns = columns if name is None else {key: name, "quaternion": quaternion}
     listed = {channel: value if isinstance(value, list) else [value] for channel, value in columns.items()}
@@ -229,7 +229,7 @@ def is_poses(proposal: MapProposal) -> bool:
 
 
 def _array_of(columns: Any, names: Sequence[str]) -> Any:
-    """Return the name of an array in place of its three columns."""
+    """Return the name of an array instead of its three columns."""
     name = columns[0].removesuffix("[0]") if isinstance(columns, list) and isinstance(columns[0], str) else ""
     is_array = columns == [f"{name}[{k}]" for k in range(3)] and f"{name}[3]" not in names
     return name if is_array else columns
@@ -286,7 +286,8 @@ def _by_name(table: RawTable) -> tuple[dict[str, Any], str]:
 
 
 def _by_position(table: RawTable) -> dict[str, Any]:
-    """Return the columns of a table without names: a growing first column is time, the steadiest three axes read gravity."""
+    """Return the columns of a table without names: an increasing first column is time, and the three axes with the most constant
+    length are accelerometers."""
     width, cells = len(table.names), [str(cell) for cell in table.columns[0][:8]]
     times = readings(table, [0])[:8, 0]
     grows = (len(times) > 1 and bool((np.diff(times) > 0.0).all()) and width not in (3, 6)) or all(map(is_date, cells))
@@ -302,7 +303,7 @@ def _by_position(table: RawTable) -> dict[str, Any]:
         return keys | {"gyro": threes[0]}
     lengths = [_median_length(readings(table, axes)) for axes in threes]
     at_rest = [k for k, (x, _) in enumerate(lengths) if any(low <= x < high for low, high in _AT_REST.values())]
-    accel = min(at_rest, key=lambda k: lengths[k][1], default=0)  # the steadiest
+    accel = min(at_rest, key=lambda k: lengths[k][1], default=0)  # the most constant length
     keys["accel"] = threes[accel]
     return keys | ({"gyro": threes[1 - accel]} if len(threes) > 1 else {})
 
@@ -314,25 +315,25 @@ def _counts(values: FloatArray) -> bool:
 
 
 def _is_temperature(values: FloatArray) -> bool:
-    """Return whether a column without a name may be a thermometer: fractions, warmer than any reading of gravity in m/s2."""
+    """Return True if a column without a name may be a thermometer: fractions, larger than any reading of gravity in m/s2."""
     middle = float(np.median(values))
     return _WARM_C < middle < _TEMP_C[1] and not np.array_equal(values, np.round(values))
 
 
 def _median_length(values: FloatArray) -> tuple[float, float]:
-    """Return the median length of three axes, and how far the length departs from it, relative to it: least for gravity."""
+    """Return the median length of three axes, and the relative deviation from it, which is smallest for gravity."""
     length = np.linalg.norm(values, axis=1)
     middle = float(np.median(length)) if len(length) else 0.0
     return middle, float(np.median(np.abs(length - middle))) / middle if middle > 0.0 else float("inf")
 
 
 def _order_of(time: FloatArray) -> str:
-    """Return the key of a map for stamps that repeat or step back."""
+    """Return the key of a map for time stamps that repeat or step back."""
     steps = np.diff(time[:, 0])
     if (steps < 0.0).any():
-        return f"repair_time = true  # {int((steps <= 0.0).sum())} stamps repeat or step back: their rows are left out"
+        return f"repair_time = true  # {int((steps <= 0.0).sum())} time stamps repeat or step back: their rows are left out"
     repeated = int((steps == 0.0).sum())
-    return f'clock = "regular"  # {repeated} stamps repeat, as in the clock of a host' if repeated else ""
+    return f'clock = "regular"  # {repeated} time stamps repeat, as in the clock of a host' if repeated else ""
 
 
 def _unit_of(channel: str, *names: str) -> str:
@@ -372,7 +373,7 @@ def _units_by_size(table: RawTable, columns: dict[str, list[Column]]) -> dict[st
 
 
 def _least_spread(values: FloatArray) -> float:
-    """Return the standard deviation of the quietest 100 samples in a row, the mean of the axes."""
+    """Return the standard deviation of the quietest 100 successive samples, averaged over the axes."""
     count = len(values) // 100
     if count == 0:
         return float("inf")

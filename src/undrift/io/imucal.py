@@ -22,14 +22,14 @@ from undrift.units import canonical_unit, is_physical, si_factor
 UNKNOWN = "The uncertainties are unknown, because a calibration of imucal contains none."
 CALIBRATE = "Calibrate from a recording of the device."
 
-LARGEST = 4_000_000  # bytes of such a file
+LARGEST = 4_000_000  # size limit of such a file, bytes
 VERSION = "2.0.0"
 GRAVITY = 9.81  # m/s2: the default of imucal's procedure
 WHAT = "imucal calibration"
 
 
 def is_imucal(path: Path) -> bool:
-    """Return whether a file is a calibration of imucal, from its content."""
+    """Return True if the content of a file is a calibration of imucal."""
     if not path.is_file() or path.stat().st_size > LARGEST:
         return False
     content = read_bytes(path)

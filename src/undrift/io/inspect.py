@@ -31,9 +31,9 @@ from undrift.record import Record, Reference, Session
 from undrift.units import SI_UNIT, STANDARD_GRAVITY
 
 _MISSING = ("sensor", "sample_rate_hz", "columns", "readings")  # facts that an intact file may omit
-_TABLES = ("mat", "parquet", "csv", "log")  # kinds of file from which a map makes a recording
+_TABLES = ("mat", "parquet", "csv", "log")  # kinds of file that become a recording with a map
 _POSES = "a table of orientations, which is read as a reference with a map"
-_REGULAR = 0.005  # mean and usual rate that differ by less are one figure
+_REGULAR = 0.005  # mean and usual rate that differ by less than this are printed as one rate
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,34 +43,34 @@ class Description:
     path: str = ""
     # recording, reference, markers, session, calibration, device, table (needs a map), settings, text or binary
     kind: str
-    format: str = ""  # A name of io.formats.FORMATS, or of another package's
+    format: str = ""  # name from io.formats.FORMATS, or of another package's format
     summary: str  # one line: the kind of file, or the map that it needs
-    rows: int | None = None  # Samples or frames
+    rows: int | None = None  # number of samples or frames
     sample_rate_hz: float | None = None  # samples over time, with lost and uneven samples
-    usual_rate_hz: float | None = None  # By the usual step, drop-outs left out
+    usual_rate_hz: float | None = None  # rate from the usual step, without drop-outs
     duration_s: float | None = None
-    columns: tuple[str, ...] = ()  # Channels, markers, or column names
-    units: tuple[tuple[str, str], ...] = ()  # Channel and unit
-    gaps: int = 0  # Samples with a gap
-    temp_c: tuple[float, float] | None = None  # Lowest and highest
+    columns: tuple[str, ...] = ()  # channels, markers, or column names
+    units: tuple[tuple[str, str], ...] = ()  # unit of each channel
+    gaps: int = 0  # number of samples with a gap
+    temp_c: tuple[float, float] | None = None  # lowest and highest temperature, degC
     findings: tuple[Finding, ...] = ()
-    proposal: MapProposal | None = None  # map that a table of foreign names may need
-    # result of reading: a session, or a recording as a session of one
+    proposal: MapProposal | None = None  # map that a table with foreign names may need
+    # result of reading: a session, or a session with a single recording
     session: Session | None = field(default=None, repr=False)
 
     @property
     def example(self) -> tuple[str, ...]:
-        """Lines of the map that a table of foreign names may need, "?" where a person must state the unit."""
+        """Return the lines of the map that a table with foreign names may need, with "?" for a unit that a person must enter."""
         return () if self.proposal is None else self.proposal.lines()
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """The findings as texts, but how the file was read."""
+        """Return the texts of the findings, except those about reading the file."""
         return tuple(_told(item) for item in self.findings if item.code != "recording.how_read")
 
 
 def _told(item: Finding) -> str:
-    """Return the text of a finding, with the recording of a session that it is about."""
+    """Return the text of a finding, with the number of its recording in a session."""
     return f"recording {item.values['recording']}: {item.text}" if "recording" in item.values else item.text
 
 
@@ -104,7 +104,7 @@ def describe_poses(path: Path, columns: ReferenceMap) -> Description:
 
 
 def _recording(path: Path, name: str, how: ColumnMap) -> Description:
-    """Return the content of a recording, or what reading it requires."""
+    """Return the content of a recording, or the requirements for reading it."""
     try:
         read = read_counted(path, how)
     except InputError as error:
@@ -138,7 +138,7 @@ def describe_record(read: ReadResult) -> Description:
 
 
 def _of_records(*records: Record) -> dict[str, Any]:
-    """Return the description of several records: columns and units of the first, the rest of all."""
+    """Return the description of several records: columns and units of the first record, other values of all records."""
     first = records[0]
     channels = {"time": ("s", first.time), "gyro": (first.gyro_unit, first.gyro)}
     channels |= {"accel": (first.accel_unit, first.accel), "temp": ("degC", first.temp_c), "mag": ("uT", first.mag_ut)}
@@ -157,7 +157,7 @@ def _of_records(*records: Record) -> dict[str, Any]:
 
 
 def mean_rate_hz(*records: Record) -> float:
-    """Return samples over time, drop-outs included."""
+    """Return the number of samples over time, including drop-outs."""
     return sum(len(record) - 1 for record in records) / sum(record.duration_s for record in records)
 
 
@@ -189,7 +189,7 @@ def needs_map(path: str | Path) -> bool:
 
 
 def _sample(path: Path, name: str) -> tuple[RawTable, Text | None]:
-    """Return a table, or the first MiB of a text and how it was opened."""
+    """Return a table, or the first MiB of a text and the opened text."""
     if name == "parquet":
         return read_parquet_table(path), None
     if name == "mat":
@@ -199,7 +199,7 @@ def _sample(path: Path, name: str) -> tuple[RawTable, Text | None]:
 
 
 def _needs(path: Path, name: str) -> Description | None:
-    """Return the description of a file that cannot be read without a map or as a recording, None if it can."""
+    """Return the description of a file that is not a recording or needs a map, or None for a readable recording."""
     if name not in _TABLES or (name == "log" and states_units(labelled(log_text(path)))):
         return None
     table, text = _sample(path, name)
@@ -258,7 +258,7 @@ def _markers(path: Path, up: Up | None) -> Description:
         markers = read_markers(path, up="z")
         sentence, action = "The file does not contain which axis points up.", "Set `reference_up` to y or z."
         findings.append(finding("recording.up_axis", "warn", sentence, action))
-    findings += rows_left_out(markers.short_rows, "they end before the last marker, which is read as lost")
+    findings += rows_left_out(markers.short_rows, "these end before the last marker, which is read as lost")
     gap: BoolArray = np.any(np.isnan(markers.points), axis=2)
     never = [label for k, label in enumerate(markers.labels) if gap[:, k].all()]
     remark = f" ({', '.join(never)} never seen)" if never else ""

@@ -1,4 +1,4 @@
-"""A library's parser in a process of its own: a damaged file may crash it or keep it busy, and the result is still one error."""
+"""Run a library's parser in a separate process. If a damaged file crashes or blocks the parser, a single error is raised."""
 
 import os
 import pickle
@@ -18,7 +18,7 @@ LIMIT_S, SECOND_PER_MEGABYTE = 30.0, 1.0
 
 
 def isolated(parse: Callable[..., Any], path: Path, *arguments: Any) -> Any:
-    """Return ``parse(path, *arguments)`` of a function at the top of a module. Its input errors are raised here."""
+    """Return ``parse(path, *arguments)`` for a module-level function. Its input errors are raised again here."""
     if not has_threads():  # nor processes
         return parse(path, *arguments)
     limit_s = LIMIT_S + SECOND_PER_MEGABYTE * bytes_in(path) / 1e6
@@ -50,9 +50,9 @@ def isolated(parse: Callable[..., Any], path: Path, *arguments: Any) -> Any:
 
 
 def answer() -> None:
-    """Make the call of a file, and write the result or the input error to another file."""
+    """Perform the call stored in a file, and write the result or the input error to another file."""
     call, result = map(Path, sys.argv[1:3])
-    if hasattr(signal, "alarm"):  # the parent may be killed before its limit
+    if hasattr(signal, "alarm"):  # the parent may be killed before its time limit
         signal.alarm(int(sys.argv[3]) + 1)
     parse, *arguments = pickle.loads(call.read_bytes())
     try:

@@ -1,5 +1,4 @@
-"""Tables that contain their units: in lines before the header, in a unit row, or in names. Sensors may be next to each
-other.
+"""Tables that contain their units: in lines before the header, in a unit row, or in names. Sensors may be next to each other.
 
 Every column has a Label from its name and unit (``labels``). Three labels x, y, z of the same sensor and unit become a
 channel. A missing unit is never added here. Only a maker's manual (``dialects``) may add it, and a note reports it.
@@ -31,20 +30,20 @@ class Sheet:
 
     text: Text
     labels: tuple[Label | None, ...] = ()
-    rate_hz: float | None = None  # Hz, as the file states it
+    rate_hz: float | None = None  # sample rate from the file, Hz
     device: str = ""
     notes: tuple[str, ...] = ()
-    counters: tuple[int, ...] = ()  # columns in which the device counts, in place of a column of time
-    clock: Callable[..., tuple[FloatArray, tuple[str, ...]]] | None = None  # time in s and notes from the counters
-    repair_time: bool = False  # Stamps may repeat: such rows are left out and counted
+    counters: tuple[int, ...] = ()  # columns with counters of the device, instead of a time column
+    clock: Callable[..., tuple[FloatArray, tuple[str, ...]]] | None = None  # time in s, and notes, from the counters
+    repair_time: bool = False  # True if time stamps may repeat: such rows are omitted and counted
 
     @property
     def path(self) -> Path:
-        """The file."""
+        """Return the path of the file."""
         return self.text.path
 
     def position(self, pattern: str) -> int | None:
-        """Return the first column whose name matches."""
+        """Return the position of the first column whose name matches."""
         names = enumerate(self.text.names)
         return next((k for k, name in names if re.search(pattern, name, re.IGNORECASE)), None)
 
@@ -60,7 +59,7 @@ class Sheet:
 
 
 def open_sheet(path: str | Path, assumed: Mapping[str, str] | None = None, *, whole_names: bool = False) -> Sheet:
-    """Open a text export and label its columns. The units ``assumed`` come from a maker's manual."""
+    """Open a text export and label its columns. The units ``assumed`` are from a maker's manual."""
     path = Path(path)
     text = find_table(path, read_bytes(path))
     if text is None or not text.layout.header:
@@ -74,7 +73,7 @@ def open_sheet(path: str | Path, assumed: Mapping[str, str] | None = None, *, wh
 
 
 def labelled(text: Text, assumed: Mapping[str, str] | None = None, *, whole_names: bool = False) -> Sheet:
-    """Return the sheet with a label for each column, sensors named by what their names do not share, or by whole names."""
+    """Return the sheet with a label for each column, with sensors named by the distinct parts of their names."""
     units = text.units or ("",) * len(text.names)
     labels = [label_of(name, unit, assumed) for name, unit in zip(text.names, units, strict=True)]
     sensor_words = [set(label.sensor.split()) for label in labels if label and label.axis]
@@ -93,7 +92,7 @@ def labelled(text: Text, assumed: Mapping[str, str] | None = None, *, whole_name
 
 # ---- from labels to a record
 
-Triples = dict[str, dict[str, tuple[int, ...]]]  # channel, sensor: the columns x, y, z
+Triples = dict[str, dict[str, tuple[int, ...]]]  # key: channel and sensor; value: the columns x, y, z
 
 
 def triples_of(sheet: Sheet, channels: tuple[str, ...] = ("gyro", "accel", "mag")) -> Triples:
@@ -113,7 +112,7 @@ def triples_of(sheet: Sheet, channels: tuple[str, ...] = ("gyro", "accel", "mag"
 
 
 def sheet_table(sheet: Sheet, how: ColumnMap) -> RawTable:
-    """Return the columns of one sensor of a labelled sheet, with the map that its labels state and notes on the reading."""
+    """Return the columns of one sensor of a labelled sheet, with the map from its labels and notes on the reading."""
     triples = triples_of(sheet)
     _check_readings(sheet, triples)
     chosen = _chosen(sheet, triples, how.sensor)
@@ -125,7 +124,7 @@ def sheet_table(sheet: Sheet, how: ColumnMap) -> RawTable:
     if len(rates) > 1:
         listed = ", ".join(f"{rate:g} Hz" for rate in sorted(rate for rate in rates if rate))
         raise InputError(
-            f"{sheet.path}: expected one sample rate in one sensor, got {listed}. Export each rate to its own file."
+            f"{sheet.path}: expected one sample rate per sensor, got {listed}. Export each rate to its own file."
         )
     table, has_time = _timed(sheet, columns, labels, how)
     rate_hz = how.sample_rate_hz or sheet.rate_hz
@@ -152,13 +151,13 @@ def sheet_table(sheet: Sheet, how: ColumnMap) -> RawTable:
 def _timed(
     sheet: Sheet, columns: Mapping[str, tuple[int, ...]], labels: list[Label], how: ColumnMap
 ) -> tuple[RawTable, bool]:
-    """Return the parsed columns, and whether a column of time, s, was added: by counters, by dates, or from numbers."""
+    """Return the parsed columns, and True if a time column, s, was added, from counters, dates or numbers."""
     stated = next((k for k, _, label in sheet.of_channel("time") if label.unit), None)
     clock = stated if labels[0].time is None else labels[0].time
     label = None if clock is None else sheet.labels[clock]
     dated = label is not None and label.unit == "date"
     counters = sheet.counters or (() if clock is None or dated else (clock,))
-    times = sorted({label.time for label in labels if label.time is not None} - {*counters})  # each channel's own
+    times = sorted({label.time for label in labels if label.time is not None} - {*counters})  # per channel
     layout = sheet.text.layout.but(drop_bad_rows=how.drop_bad_rows)
     positions = (*(k for channel in columns.values() for k in channel), *counters, *times)
     table = parse_text(replace(sheet.text, layout=layout), positions)
@@ -184,7 +183,7 @@ def _timed(
 
 
 def _counts(sheet: Sheet, table: RawTable) -> list[FloatArray]:
-    """Return the columns in which the device counts."""
+    """Return the columns with counters of the device."""
     counts = [table.numbers(k) for k in sheet.counters]
     for k, counter in zip(sheet.counters, counts, strict=True):
         if not np.isfinite(counter).all():
@@ -196,7 +195,7 @@ def _counts(sheet: Sheet, table: RawTable) -> list[FloatArray]:
 
 
 def _trimmed(table: RawTable, chosen: Mapping[str, tuple[int, ...]]) -> tuple[RawTable, tuple[str, ...]]:
-    """Cut the rows that a slower channel does not fill, and the zeros with which it starts."""
+    """Remove the rows that a slower channel does not fill, and the zeros at its start."""
     values = np.stack([table.numbers(k) for columns in chosen.values() for k in columns], axis=1)
     filled = np.isfinite(values).any(axis=1)
     live = np.flatnonzero(filled & (values != 0.0).any(axis=1))
@@ -225,7 +224,7 @@ def _check_readings(sheet: Sheet, triples: Triples) -> None:
 
 
 def _chosen(sheet: Sheet, triples: Triples, sensor: str | None) -> dict[str, tuple[int, ...]]:
-    """Return the columns of the named sensor. Part of a name is enough if it is unique, and no name if there is one sensor."""
+    """Return the columns of the named sensor. Part of a name is enough if it is unique. No name is needed for a single sensor."""
     sensors = [sensor for channel in ("accel", "gyro") for sensor in triples.get(channel, {}) if sensor]
     names, wanted = tuple(dict.fromkeys(sensors)), None
     if sensor is not None:
@@ -243,21 +242,21 @@ def _chosen(sheet: Sheet, triples: Triples, sensor: str | None) -> dict[str, tup
         )
     chosen: dict[str, tuple[int, ...]] = {}
     for channel, by_sensor in triples.items():
-        only = next(iter(by_sensor.values())) if len(by_sensor) == 1 else None  # of several, none is known
+        only = next(iter(by_sensor.values())) if len(by_sensor) == 1 else None  # none of several
         if columns := only if wanted is None else by_sensor.get(wanted) or by_sensor.get(""):
             chosen[channel] = columns
     return chosen
 
 
 def _temperature(sheet: Sheet, sensor: str | None) -> int | None:
-    """Return the column of the sensor's thermometer, or of the only one."""
+    """Return the column of the sensor's thermometer, or of the only thermometer."""
     thermometers = [(label.sensor, k) for k, _, label in sheet.of_channel("temp") if label.unit]
     mine = [k for name, k in thermometers if sensor is not None and name.lower() == sensor.lower()]
     return mine[0] if mine else thermometers[0][1] if len(thermometers) == 1 else None
 
 
 def _notes(sheet: Sheet, triples: Triples) -> tuple[str, ...]:
-    """Return how a sheet was read and what of it was left out."""
+    """Return notes on how a sheet was read and which columns were left out."""
     notes = []
     if lines := sum(bool(line.strip()) for line in sheet.text.preamble):
         notes.append(f"lines before the header skipped: {lines}")
@@ -276,7 +275,7 @@ def _notes(sheet: Sheet, triples: Triples) -> tuple[str, ...]:
     return tuple(notes)
 
 
-# ---- any table that states all it needs
+# ---- tables that contain all necessary information
 
 
 def is_labelled(path: Path, head: bytes) -> bool:

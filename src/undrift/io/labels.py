@@ -15,13 +15,13 @@ from undrift.units import DEVICE_UNITS, canonical_unit
 class Label(NamedTuple):
     """Content of a column."""
 
-    sensor: str  # "" where the file names one sensor only
+    sensor: str  # "" if the file contains only one sensor
     channel: str  # time, gyro, accel, mag, temp, or "free": acceleration without gravity
-    axis: str = ""  # x, y, z
-    unit: str = ""  # canonical unit, or "" if it is not stated or not known
-    gain: float = 1.0  # To that unit
-    rate_hz: float | None = None  # time of this channel, if channels of several rates are side by side
-    time: int | None = None  # Its own time column
+    axis: str = ""  # axis x, y or z, or ""
+    unit: str = ""  # canonical unit, or "" if it is missing or unknown
+    gain: float = 1.0  # gain to that unit
+    rate_hz: float | None = None  # name of this channel's time, if channels with several rates are side by side
+    time: int | None = None  # position of its time column
 
 
 _SPELLED = {
@@ -62,7 +62,7 @@ _WORDS = re.compile(  # words of a name that do not distinguish sensors
 
 
 def unit_for(text: str, channel: str) -> tuple[str, float] | None:
-    """Return a unit in its canonical spelling and the gain to it, or None if the text is not a unit of this channel."""
+    """Return the canonical spelling of a unit and the gain to it, or None if the text is not a unit of this channel."""
     name = text.strip().lower()
     gain, name = _GAIN.get(name, 1.0), _SPELLED.get(name, name)
     if channel == "mag":
@@ -106,9 +106,9 @@ def label_of(name: str, unit: str = "", assumed: Mapping[str, str] | None = None
         fits = [other for other in ("gyro", "accel", "mag") if unit_for(unit, other) and (other, unit) != ("mag", "g")]
         channel = fits[0] if len(fits) == 1 else None
     if channel == "time" and stem.strip() == "T" and not unit:
-        return None  # it names a temperature as often as a time
+        return None  # this name is as often a temperature as a time
     if channel == "time" and unit and not unit_for(unit, "time") and unit_for(unit, "temp"):
-        channel = "temp"  # "T" in degC
+        channel = "temp"  # "T" in degC is a temperature
     if channel is None or (not axis and channel not in ("time", "temp")):
         return None
     scaled_unit = unit_for(unit or (assumed or {}).get(channel, ""), channel)
@@ -118,7 +118,7 @@ def label_of(name: str, unit: str = "", assumed: Mapping[str, str] | None = None
     kind = dict(_KIND)[channel]
     tokens = [token for token in tokens if token and not _WORDS.match(token) and not kind.search(token)]
     if scaled_unit and scaled_unit[0] in DEVICE_UNITS and channel in ("mag", "temp"):
-        scaled_unit = None  # they need a scale from a map
+        scaled_unit = None  # counts need a scale from a map
     return Label(
         " ".join(tokens), channel, axis if channel not in ("time", "temp") else "", *(scaled_unit or ("", 1.0))
     )

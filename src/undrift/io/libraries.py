@@ -4,7 +4,7 @@ MAT (pymatreader)      named arrays for a map; the field of a struct is ``struct
 XDF (pyxdf)            clocks synchronised with the file's clock offsets, time stamps as recorded, not de-jittered
 ROS (rosbags)          sensor_msgs/Imu by header.stamp, SI units (REP 103, REP 145), covariance[0] = -1 marks an absent channel
 ULog (pyulog)          sensor_gyro and sensor_accel are uncorrected; sensor_combined was corrected by the autopilot
-NilsPod (nilspodlib)   factory scale applied, gaps of the counter stay gaps in time
+NilsPod (nilspodlib)   factory scale applied, gaps of the counter remain gaps in time
 Axivity, GENEActiv, ActiGraph (actfast)   g, deg/s, degC, local time without a zone, counted from the first sample
 """
 
@@ -33,11 +33,11 @@ from undrift.io.isolated import isolated
 from undrift.units import canonical_unit
 
 Arrays = tuple[tuple[str, NDArray[Any]], ...]
-Channels = dict[str, tuple[Any, str]]  # (N,) or (N, 3), and the unit
+Channels = dict[str, tuple[Any, str]]  # array (N,) or (N, 3), and unit
 
 
 def reader(kind: str, read: Callable[[Path, ColumnMap], Any]) -> Callable[[Path, ColumnMap], Any]:
-    """Return a reader in a process of its own. Any error of the library means that the file is damaged."""
+    """Return a reader that runs in a separate process. Any error of the library means that the file is damaged."""
 
     def read_file(path: Path, how: ColumnMap) -> Any:
         return isolated(_soundly, path, how, kind, read)
@@ -51,7 +51,7 @@ def _soundly(path: Path, how: ColumnMap, kind: str, read: Callable[[Path, Column
 
 
 def library(module: str) -> Any:
-    """Return a library of the extra ``formats``."""
+    """Import and return a library of the extra ``formats``."""
     try:
         return import_module(module)
     except ImportError as error:
@@ -60,7 +60,7 @@ def library(module: str) -> Any:
 
 
 def is_nilspod(head: bytes) -> bool:
-    """Return whether a header is one of NilsPod: sizes of header and sample, and a start and end of 2014 to 2040."""
+    """Return True for a NilsPod header: sizes of header and sample, and a start and an end from 2014 to 2040."""
     if len(head) < 0x30 or not (0x30 <= head[0] <= 0x40 and 6 <= head[1] <= 64):
         return False
     start, end, rows = struct.unpack_from("<III", head, 15)
@@ -68,9 +68,7 @@ def is_nilspod(head: bytes) -> bool:
 
 
 def chosen(kind: str, names: tuple[str, ...], sensor: str | None) -> str:
-    """Return the item that `sensor` names, by its whole name or a unique ending. Without `sensor`, return the only
-    item.
-    """
+    """Return the item selected with `sensor`, by its whole name or a unique ending. Without `sensor`, return the only item."""
     if not names:
         raise FileFormatError(f"expected a {kind} with readings, got none. The file contains no recording.")
     hits = names if sensor is None else [name for name in names if name == sensor]
@@ -79,7 +77,7 @@ def chosen(kind: str, names: tuple[str, ...], sensor: str | None) -> str:
         return hits[0]
     wanted = f"the name of one {kind}" if sensor is None else f"{kind} {sensor!r}"
     raise InputError(
-        f"expected {wanted}, got a file with {', '.join(names)}. Name one of them (`sensor`).",
+        f"expected {wanted}, got a file with {', '.join(names)}. Choose one with `sensor`.",
         missing="sensor",
         names=names,
     )
@@ -90,11 +88,11 @@ _CHANNEL = {"gyro": r"gyr|angular.?(rate|vel)|^w$", "accel": r"acc", "mag": r"ma
 
 def _xdf(path: Path, how: ColumnMap) -> RawTable:
     pyxdf, lines, content, at = library("pyxdf"), list[str](), read_bytes(path), 4
-    while at < len(content):  # the library reads a file whose last chunk is cut without an error
+    while at < len(content):  # the library reads a truncated last chunk without an error
         width = content[at] if content[at] in (1, 4, 8) else len(content)
         at += 1 + width + int.from_bytes(content[at + 1 : at + 1 + width], "little")
     if at != len(content):
-        raise ValueError("its last chunk is cut, or a chunk is damaged")
+        raise ValueError("its last chunk is truncated, or a chunk is damaged")
     handler = logging.Handler(logging.ERROR)
     handler.emit = lambda record: lines.append(record.getMessage())  # type: ignore[method-assign]
     logging.getLogger("pyxdf").addHandler(handler)
@@ -129,7 +127,7 @@ def _xdf(path: Path, how: ColumnMap) -> RawTable:
     for channel, pattern in _CHANNEL.items():
         at_ = [k for k in range(len(labels)) if re.search(pattern, f"{label[k]} {kind[k]}", re.IGNORECASE)]
         if len(at_) == (1 if channel == "temp" else 3) and all(unit[k] == unit[at_[0]] != "" for k in at_):
-            with contextlib.suppress(InputError):  # a unit that is not one: a map must state it
+            with contextlib.suppress(InputError):  # not a unit: a map must define it
                 stated = canonical_unit(unit[at_[0]], QUANTITY[channel])  # type: ignore[index]
                 found[channel] = (values[:, at_[0]] if channel == "temp" else values[:, at_], stated)
     if not found.keys() & {"gyro", "accel"}:
@@ -170,7 +168,7 @@ def _ros(path: Path, how: ColumnMap) -> RawTable:
     stamps, frame = np.array([stamp for stamp, _ in rows], dtype=np.int64), str(rows[0][1].header.frame_id)
     time, channels = (stamps - stamps[0]) * 1e-9, Channels()
     notes = [
-        f"topic {topic}, frame {frame or 'not stated'}, time by header.stamp, units as ROS defines them (rad/s, m/s2)",
+        f"topic {topic}, frame {frame or 'not given'}, time from header.stamp, units as ROS defines them (rad/s, m/s2)",
         f"time 0 is the time stamp {stamps[0] * 1e-9:.6f} s",
     ]
     for channel, name, unit in (("gyro", "angular_velocity", "rad/s"), ("accel", "linear_acceleration", "m/s2")):
@@ -180,11 +178,11 @@ def _ros(path: Path, how: ColumnMap) -> RawTable:
             vectors = [getattr(row, name) for _, row in rows]
             channels[channel] = (np.array([(v.x, v.y, v.z) for v in vectors]), unit)
     if not channels:
-        raise InputError(f"expected readings in {topic}, got none (covariance -1). Name another topic.")
+        raise InputError(f"expected readings in {topic}, got none (covariance -1). Choose another topic.")
     if slow:
         clock = (np.array([stamp for stamp, _ in slow], dtype=np.int64) - stamps[0]) * 1e-9
         channels["temp"] = (np.interp(time, clock, [temp_c for _, temp_c in slow]), "degC")
-        notes.append(f"temperature of {min(near)}, interpolated")
+        notes.append(f"temperature from {min(near)}, interpolated")
     table = of_channels(path, time, channels, how, notes=notes, device=frame)
     return replace(table, dropped=max(0, stated - len(rows)))
 
@@ -194,13 +192,13 @@ _TOPICS = ["sensor_combined", "sensor_gyro", "sensor_accel"]
 
 def _ulog(path: Path, how: ColumnMap) -> RawTable:
     content, at = read_bytes(path), 16
-    while at + 3 <= len(content) and not how.drop_bad_rows:  # the library accepts a log whose last message is cut
+    while at + 3 <= len(content) and not how.drop_bad_rows:  # the library accepts a log whose last message is truncated
         size, kind = struct.unpack_from("<HB", content, at)
         if kind == ord("B") and struct.unpack_from("<Q", content, at + 19)[0]:
-            at = len(content)  # appended data has a place of its own
+            at = len(content)  # appended data are stored elsewhere
             break
         at += 3 + size
-    with contextlib.redirect_stdout(io.StringIO()):  # the library prints errors of the file
+    with contextlib.redirect_stdout(io.StringIO()):  # the library prints errors in the file
         log = library("pyulog").ULog(io.BytesIO(content), _TOPICS)
     if (at != len(content) or log.file_corruption) and not how.drop_bad_rows:
         raise ValueError("messages are truncated or damaged. Set drop_bad_rows = true in a map to read the rest.")
@@ -210,10 +208,10 @@ def _ulog(path: Path, how: ColumnMap) -> RawTable:
     sensor, hardware = chosen("sensor", names, how.sensor), str(log.msg_info_dict.get("ver_hw", "")).strip()
 
     def clock(data: dict[str, Any]) -> FloatArray:
-        """Return the time of sampling since boot, or of logging if the log does not have it, s."""
+        """Return the sampling time since boot, s, or the logging time if the log does not contain it."""
         return np.asarray(data.get("timestamp_sample", data["timestamp"]), dtype=np.float64) * 1e-6
 
-    notes, channels = ["axes forward, right, down: z reads -9.8 m/s2 level and at rest"], Channels()
+    notes, channels = ["axes forward, right, down: z reads -9.8 m/s2 if level and at rest"], Channels()
     if sensor == "sensor_combined":
         data = topics["sensor_combined", 0]
         time: FloatArray = np.asarray(data["timestamp"], dtype=np.float64) * 1e-6
@@ -224,7 +222,7 @@ def _ulog(path: Path, how: ColumnMap) -> RawTable:
     both = {name: topics.get((f"sensor_{name}", int(sensor))) for name in ("gyro", "accel")}
     main = both["gyro"] or both["accel"] or {}
     time = clock(main)
-    notes.append("sensor's own readings, before the autopilot's CAL_ parameters (PX4 v1.11 and later)")
+    notes.append("readings of the sensor, before the autopilot's CAL_ parameters (PX4 v1.11 and later)")
     for channel, unit in (("gyro", "rad/s"), ("accel", "m/s2")):
         if (data := both[channel]) is None:
             continue
@@ -267,14 +265,15 @@ def _nilspod(path: Path, how: ColumnMap) -> RawTable:
         raise ValueError(f"the header gives {end - start} s, but the file has {lasts_s:.4g} s")
     notes = [
         f"firmware {data.info.version_firmware}, {rate_hz:g} Hz, factory scale applied, magnetometer left out (no unit)",
-        *[f"{lost} of {len(counter) + lost} samples missing by the counter, seen as gaps in time"] * (lost > 0),
+        *[f"{lost} of {len(counter) + lost} samples are missing according to the counter, and become gaps in time"]
+        * (lost > 0),
         *(first_line(w.message) for w in caught if isinstance(w.message, UserWarning)),
     ]
     return of_channels(path, time, channels, how, notes=notes, device=f"NilsPod {data.info.sensor_id}")
 
 
 def _logger(path: Path, how: ColumnMap) -> RawTable:
-    """Read an Axivity, GENEActiv or ActiGraph file. Times are interpolated linearly between the stamps of the blocks."""
+    """Read an Axivity, GENEActiv or ActiGraph file. Times are interpolated linearly between the time stamps of the blocks."""
     held = library("actfast").read(str(path), lenient=how.drop_bad_rows)
     series, about, kind = held["timeseries"], held["metadata"], held["format"]
     fast = series.get("high_frequency") or series["acceleration"]
@@ -290,7 +289,7 @@ def _logger(path: Path, how: ColumnMap) -> RawTable:
         what = "missing" if len(stamps) < 300 * int(pages) else "too many"
         raise ValueError(f"samples of {pages} pages are {what}. Set drop_bad_rows = true in a map to read the rest.")
     start = stamps[:1].astype("M8[ns]").astype("M8[ms]")[0]
-    notes = [f"time 0 is {start} by the logger's clock (local time)", *map(str, held["warnings"])]
+    notes = [f"time 0 is {start} on the logger's clock (local time)", *map(str, held["warnings"])]
     blocks = np.asarray(slow.get("datetime", stamps[:1]), dtype=np.int64)
     time = _straight(stamps, blocks, fitted=kind.startswith("GeneActiv"))
     channels: Channels = {"accel": (np.asarray(fast["acceleration"], dtype=np.float64), "g")}
@@ -308,8 +307,8 @@ def _logger(path: Path, how: ColumnMap) -> RawTable:
 
 
 def _straight(stamps: NDArray[Any], blocks: NDArray[Any], *, fitted: bool) -> FloatArray:
-    """Return times in s from 0, linear from block to block. With ``fitted``, each run has a single rate, for coarse
-    block stamps.
+    """Return times in s from 0, linear from block to block. With ``fitted``, each run has a single rate, for coarse time stamps of
+    blocks.
     """
     time, starts = (stamps - stamps[0]) * 1e-9, np.searchsorted(stamps, blocks)
     usual = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
@@ -332,7 +331,7 @@ def _straight(stamps: NDArray[Any], blocks: NDArray[Any], *, fitted: bool) -> Fl
 def _mat(path: Path, _: ColumnMap) -> Arrays:
     tree = dict(library("pymatreader").read_mat(str(path)))
     objects, arrays = tree.pop("None", None), tuple(_flat("", tree))
-    if objects is not None and not arrays:  # objects of classes, which no reader of the file takes apart
+    if objects is not None and not arrays:  # objects of classes, which no reader can unpack
         raise FileFormatError(
             "expected arrays, got MATLAB objects, such as the timetables of MATLAB Mobile. In MATLAB, write each as text, "
             'for example writetimetable(Acceleration, "Acceleration.csv"), and read the text files.'
@@ -349,7 +348,7 @@ def _flat(prefix: str, value: Any) -> Iterator[tuple[str, NDArray[Any]]]:
     array = np.asarray(value) if isinstance(value, (np.ndarray, int, float)) else np.empty(0, dtype=object)
     if array.dtype.kind in "fiub":
         array = np.atleast_1d(array.squeeze() if array.ndim == 2 and 1 in array.shape else array)
-        # axes by rows, as MATLAB code often has them, are turned; rotation matrices (3, 3, N) become rows of nine
+        # axes in rows, as often in MATLAB code, are transposed; rotation matrices (3, 3, N) become rows of nine
         if array.ndim == 3 and array.shape[:2] == (3, 3):
             array = np.moveaxis(array, 2, 0).reshape(-1, 9)
         by_rows = array.ndim == 2 and array.shape[0] in (3, 4, 6) and array.shape[1] >= 16
@@ -357,7 +356,7 @@ def _flat(prefix: str, value: Any) -> Iterator[tuple[str, NDArray[Any]]]:
 
 
 def mat_arrays(path: Path) -> Arrays:
-    """Return the numeric arrays of a MAT file, version 5 to 7.3, structs laid flat: ``struct.field``."""
+    """Return the numeric arrays of a MAT file, version 5 to 7.3, with structs flattened to ``struct.field``."""
     arrays: Arrays = reader("MATLAB", _mat)(path, ColumnMap())
     return arrays
 
@@ -393,7 +392,7 @@ def table_of_arrays(arrays: Arrays, path: str | Path, wanted: tuple[Column, ...]
     if len(set(rows.values())) != 1:
         row_counts = ", ".join(f"{name} {count}" for name, count in rows.items())
         raise InputError(
-            f"{path}: expected arrays of one length, got {row_counts} rows. Read arrays with different "
+            f"{path}: expected arrays of equal length, got {row_counts} rows. Read arrays with different "
             f"clocks into separate records."
         )
     length = next(iter(rows.values()))

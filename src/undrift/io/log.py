@@ -1,9 +1,9 @@
-"""Logs of a serial port: the text that firmware prints, as a table. The words around the numbers name them, and no
-maker is assumed.
+"""Logs of a serial port: the text that firmware prints, as a table. The words around the numbers are used as names, and no maker is
+assumed.
 
-A line is split into numbers and the text between them, its shape. Shapes that repeat are readings. A reading may take
-several lines in turn. Lines of other shapes (boot messages, torn lines) are left out and counted. A heading without
-numbers that ends with a colon belongs to the lines under it. A line may begin with a stamp::
+A line is split into numbers and the text between them, its shape. Shapes that repeat are readings. A reading may consist of several
+lines in turn. Lines of other shapes (boot messages, truncated lines) are omitted and counted. A heading without numbers that ends
+with a colon belongs to the lines under it. A line may begin with a time stamp::
 
     12:34:56.789 -> ...      [2026-11-27 12:34:56.789] ...      [00:00:01.234,567] <inf> imu: ...      I (1234) imu: ...
 
@@ -31,14 +31,14 @@ from undrift.io.labels import is_unit, label_of
 from undrift.io.text import Text, as_utf8, find_table, parse_text, text_of
 
 _HEAD = 1 << 16
-_WATCHED = 1 << 16  # lines, between two words of how far a file is read
-_LEAST = 5  # readings of a log, and lines that may belong to one reading
+_WATCHED = 1 << 16  # number of lines between two progress messages
+_LEAST = 5  # smallest number of readings of a log, and largest number of lines of one reading
 _SHARE = 0.5  # a line shape belongs to every reading if it has this share of the lines of the most frequent shape
-_MOST_LINES = 24  # most lines of one reading
+_MOST_LINES = 24  # largest number of lines of one reading
 _NUMBER = re.compile(r"(?<![\w.^])[-+]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|(?:nan|inf)\b)")
 _UNSEEN = re.compile(
     r"\x1b\[[0-9;]*[A-Za-z]|[\x01-\x08\x0b\x0c\x0e-\x1f\x7f]|\x00+$"
-)  # colours of a terminal, noise of a port, the end of a C string; other zeros are damage
+)  # terminal colours, noise of a port, and the end of a C string; other zeros mean damage
 _DAY_S = 86400.0
 _STAMPS = (  # time stamps of a monitor or of a system, the latter with level and component
     re.compile(
@@ -53,11 +53,11 @@ _IN_BRACKETS = re.compile(r"[\[(]([^\[\]()]*)[\])]")
 _UNITS_BEHIND = tuple(
     re.compile(words + r"(?!\s*[:=\w])") for words in (r"\s*(\S+ [^\s,;|:=\"\]}]+)", r"\s*([^\s,;|:=\"\]}]+)")
 )
-_BOTH = re.compile(r"(?i)a/g|acc\w*[ /+&]+gyr\w*")  # before six numbers: of the accelerometers and of the gyroscopes
+_BOTH = re.compile(r"(?i)a/g|acc\w*[ /+&]+gyr\w*")  # name before three accelerometer and three gyroscope readings
 
 
 class LogLine(NamedTuple):
-    """A line with numbers, taken apart."""
+    """The parts of a line with numbers."""
 
     shape: tuple[str, ...]  # heading above the line, text before each number, and text after the last
     values: tuple[str, ...]
@@ -69,17 +69,17 @@ class SerialLog:
     """The readings in a log, as a table."""
 
     names: tuple[str, ...]  # name of each column, or its position
-    content: bytes  # CSV without a header
-    before: int  # Lines with numbers before the first reading
-    lost: int  # Lines with numbers after it that belong to no reading
-    plain: bool  # Nothing but marks of a table between the numbers
+    content: bytes  # the readings as CSV without a header
+    before: int  # number of lines with numbers before the first reading
+    lost: int  # number of later lines with numbers that do not belong to a reading
+    plain: bool  # True if there are only separators of a table between the numbers
 
 
 # ---- from text to lines to readings
 
 
 class LineReader:
-    """Parser of single lines. A heading belongs to the lines under it, and the clock of a day continues past midnight."""
+    """Parser of single lines. A heading belongs to the lines below it, and a time of day continues past midnight."""
 
     def __init__(self) -> None:
         self._heading, self._day, self._before = "", 0.0, 0.0
@@ -100,7 +100,7 @@ class LineReader:
 
 
 def lines_of(content: bytes, path: Path | None = None) -> Iterator[LogLine]:
-    """Yield the lines of a file, or of its beginning, that contain numbers. The last line counts only if it is complete."""
+    """Yield the lines with numbers of a file, or of its beginning. The last line counts only if it is complete."""
     text, reader = as_utf8(content).decode("utf-8", "replace"), LineReader()
     lines = text[: text.rfind("\n") + 1].splitlines()
     for number, raw in enumerate(lines, 1):
@@ -111,7 +111,7 @@ def lines_of(content: bytes, path: Path | None = None) -> Iterator[LogLine]:
 
 
 def _stamp(line: str) -> tuple[float | None, str]:
-    """Return the time of a stamp before a line, s, and the line without it."""
+    """Return the time of a time stamp before a line, s, and the line without the time stamp."""
     for pattern in _STAMPS:
         if match := pattern.match(line):
             clock = {key: float(cell.replace(",", ".")) for key, cell in match.groupdict().items() if cell}
@@ -171,7 +171,7 @@ def readings_in(lines: Iterable[LogLine], cycle: Sequence[tuple[str, ...]]) -> I
 class NumberSlot(NamedTuple):
     """Position of a number in a line shape."""
 
-    group: tuple[int, int]  # LogLine, and number of the word before: numbers behind one word make one group
+    group: tuple[int, int]  # line, and preceding word in it: numbers after the same word form a group
     word: str
     axis: str
     unit: str
@@ -211,7 +211,7 @@ def _slots(line: int, heading: str, *cells: str) -> Iterator[NumberSlot]:
 
 
 def _unit_of(behind: str) -> tuple[str, str]:
-    """Return the unit at the start of the text after a number, and the text it takes. Return "" if there is no unit."""
+    """Return the unit at the start of the text after a number, and the text of the unit. Return "" if there is no unit."""
     for pattern in _UNITS_BEHIND:
         if (match := pattern.match(behind)) and is_unit(unit := match.group(1)):
             return unit, match.group()
@@ -219,7 +219,7 @@ def _unit_of(behind: str) -> tuple[str, str]:
 
 
 def _quantity(name_words: Sequence[str]) -> str:
-    """Return the last words that name the same quantity as all of them do: "Acc" of "Scaled. Acc"."""
+    """Return the last words that name the same quantity as the whole text: "Acc" for "Scaled. Acc"."""
 
     def channel(some: Sequence[str]) -> str:
         label = label_of(f"{' '.join(some)} x")
@@ -238,7 +238,7 @@ def _quantity(name_words: Sequence[str]) -> str:
 
 
 def is_log(path: Path, head: bytes) -> bool:
-    """Return True for a log: words, stamps, quotes or noise around its numbers, and no header with column names."""
+    """Return True for a log: words, time stamps, quotes or noise around numbers, and no header with column names."""
     if path.suffix.lower() in (".md", ".rst", ".pdf", ".html", ".toml", ".xml"):
         return False
     head = read_bytes(path, _HEAD)
@@ -265,7 +265,7 @@ def read_readings(path: Path) -> SerialLog:
     return log
 
 
-@lru_cache(maxsize=1)  # a file is described, searched for labels and read
+@lru_cache(maxsize=1)  # cached, because a file is described, searched for labels and read
 def _readings_of(path: Path, _size: int, _time: int) -> SerialLog | None:
     return find_readings(read_bytes(path), path)
 
@@ -287,7 +287,7 @@ def read_log(path: Path, how: ColumnMap) -> RawTable:
     else:
         raise InputError(
             f"{path}: expected units in a log, got {', '.join(log.names[:8])} without. Run undrift info FILE "
-            "--write-map map.toml to propose a map, and name the map with `column_map`."
+            "--write-map map.toml to propose a map, and give the map with `column_map`."
         )
     count = log.content.count(b"\n")
     note = f"a log of {count} readings" + f", lines left out before the first: {log.before}" * bool(log.before)

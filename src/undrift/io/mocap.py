@@ -27,19 +27,19 @@ from undrift.record import Reference, check_time, sample_rate_of
 from undrift.units import si_factor
 
 Up = Literal["y", "z"]
-_ROUNDS = 4  # rounds for the average shape, which settles in two
-_FLAT = 1e-2  # a cluster's width over its length, under which the turn about the long axis is not seen
+_ROUNDS = 4  # number of iterations for the average shape, which converges in two
+_FLAT = 1e-2  # smallest ratio of a cluster's width to its length that determines the turn about the long axis
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Markers:
     """Marker trajectories."""
 
-    labels: tuple[str, ...]  # One for each marker, all different
+    labels: tuple[str, ...]  # one label per marker, all different
     time: FloatArray  # (N,), s, strictly increasing
     points: FloatArray  # (N, M, 3), m, frame n, with NaN for a gap
     name: str = ""  # File
-    short_rows: int = 0  # Rows that end before the last marker
+    short_rows: int = 0  # number of rows that end before the last marker
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -47,7 +47,7 @@ class Markers:
         set_(self, "points", frozen(self.points, (len(self.time), len(self.labels), 3), "points"))
         if len(set(self.labels)) != len(self.labels):
             twice = sorted({label for label in self.labels if self.labels.count(label) > 1})
-            raise InputError(f"markers: expected different labels, got {', '.join(twice)} more than once. Number them.")
+            raise InputError(f"markers: expected different labels, got {', '.join(twice)} more than once. Rename them.")
         check_time(self.time)
 
     def __len__(self) -> int:
@@ -55,7 +55,7 @@ class Markers:
 
     @property
     def sample_rate_hz(self) -> float:
-        """Frames per second."""
+        """Return the number of frames per second."""
         return sample_rate_of(self.time)
 
     def pick(self, labels: tuple[str, ...] | list[str]) -> FloatArray:
@@ -75,7 +75,7 @@ class ClusterPose:
     """Pose of a rigid cluster and how rigid it was."""
 
     reference: Reference  # q_nb with b the frame m of the cluster, and position of its centroid
-    template: FloatArray  # (K, 3), markers in m, m
+    template: FloatArray  # (K, 3), positions of the markers in frame m, m
     rms: float  # root mean square of the residuals of the pose, over the frames with a pose, m
 
 
@@ -88,7 +88,7 @@ def fit_cluster(markers: Markers, labels: tuple[str, ...] | list[str]) -> Cluste
     """Fit a rigid body to a cluster of markers, frame by frame (W. Kabsch, Acta Cryst. A32, 1976)."""
     if len(labels) < 3 or len(set(labels)) != len(labels):
         raise InputError(
-            f"cluster: expected three different markers or more, got {', '.join(labels) or 'none'}. Name three."
+            f"cluster: expected three different markers or more, got {', '.join(labels) or 'none'}. Select three."
         )
     points = markers.pick(labels)
     visible: BoolArray = np.all(np.isfinite(points), axis=2)
@@ -133,11 +133,11 @@ def level_from(points: FloatArray, up: Up) -> FloatArray:
         return points
     if up == "y":
         return np.stack((points[..., 0], -points[..., 2], points[..., 1]), axis=-1)
-    raise InputError(f'up: expected "y" or "z", got {up!r}. Name the laboratory axis that points up.')
+    raise InputError(f'up: expected "y" or "z", got {up!r}. Select the laboratory axis that points up.')
 
 
 def unique_labels(labels: tuple[str, ...] | list[str]) -> tuple[str, ...]:
-    """Return labels made different: the second and later of a name get #2, #3, ..."""
+    """Return unique labels: the second and later occurrences of a name get #2, #3, ..."""
     out: list[str] = []
     for label in labels:
         count, name = 1, label
@@ -163,7 +163,7 @@ def markers_of(
 
 
 def _mean_shape(points: FloatArray, complete: BoolArray) -> FloatArray:
-    """Return the cluster's average shape over the frames that show all of it, in the axes of the first of them."""
+    """Return the cluster's average shape over the frames with all markers, in the axes of the first of these frames."""
     full = points[complete]
     template: FloatArray = full[0] - full[0].mean(axis=0)
     all_seen = np.ones(full.shape[:2], dtype=np.bool_)
@@ -181,7 +181,7 @@ def _mean_shape(points: FloatArray, complete: BoolArray) -> FloatArray:
 
 
 def _fit(points: FloatArray, visible: BoolArray, template: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return rotation (N, 3, 3), position (N, 3) and whether there is one (N,), of the template in each frame."""
+    """Return rotation (N, 3, 3) and position (N, 3) of the template in each frame, and True for frames with a pose (N,)."""
     weight = visible.astype(np.float64)[..., None]
     count = np.maximum(weight.sum(axis=1), 1.0)
     x = np.where(visible[..., None], points, 0.0)
@@ -198,7 +198,7 @@ def _fit(points: FloatArray, visible: BoolArray, template: FloatArray) -> tuple[
 
 # ---- C3D, plain or gzip: integer and real storage; Intel, DEC and MIPS byte orders
 
-_MAGIC, _FARTHEST = 0x50, 1e6  # in the unit of the file: 1 km in mm
+_MAGIC, _FARTHEST = 0x50, 1e6  # largest plausible position, in the unit of the file: 1 km in mm
 
 
 def read_c3d(path: str | Path, up: Up | None = None) -> Markers:
@@ -211,7 +211,7 @@ def read_c3d(path: str | Path, up: Up | None = None) -> Markers:
         raise FileFormatError(
             f"{path}: expected marker points over two frames or more, got {count} markers, {frames} frames"
         )
-    # A point with a negative residual, or at exactly 0, 0, 0, was not seen.
+    # A point with a negative residual, or at exactly 0, 0, 0, was not visible.
     xyz[(residuals[0] < 0.0) | ~np.isfinite(xyz).all(axis=2) | (xyz == 0.0).all(axis=2)] = np.nan
     farthest = float(np.abs(xyz).max(initial=0.0, where=np.isfinite(xyz)))
     if farthest > _FARTHEST:
@@ -257,7 +257,7 @@ def _parse(path: Path) -> tuple[Any, Any, FloatArray, FloatArray]:
             plain = Path(folder) / "unpacked.c3d"
             plain.write_bytes(content)
         header, point, points, residuals, values = isolated(_parts, path, plain)
-    if analogs * points.shape[2] != values:  # with another count of analog values points are read at other places
+    if analogs * points.shape[2] != values:  # otherwise points would be read from wrong positions
         raise FileFormatError(
             f"{path}: the parameters do not give {analogs} analog values per frame. The file is damaged."
         )
@@ -275,8 +275,8 @@ def _parts(path: Path, plain: Path) -> tuple[Any, Any, FloatArray, FloatArray, i
 
 
 def _check_size(content: bytes, path: Path) -> int:
-    """Return the analog values per frame. Refuse a file that is not C3D or not as long as its header requires, before
-    it is parsed.
+    """Return the analog values per frame. Before parsing, raise for a file that is not C3D or does not have the length that its
+    header requires.
     """
     if not is_c3d(content):
         raise FileFormatError(f"{path}: expected a C3D file, got other content. Check the path.")
@@ -286,8 +286,8 @@ def _check_size(content: bytes, path: Path) -> int:
     processor = content[block + 3] - 83  # 1 Intel, 2 DEC (Intel's order of bytes in words), 3 MIPS
     header = np.frombuffer(content[:512], dtype=">u2" if processor == 3 else "<u2")
     points, analogs, first, last, start = (int(header[k]) for k in (1, 2, 3, 4, 8))
-    real = bool(header[7 if processor == 1 else 6] & 0x8000)  # a negative scale marks storage in reals
-    frames = last - first + 1 if last < 65535 else 0  # longer trials state their length in the parameters
+    real = bool(header[7 if processor == 1 else 6] & 0x8000)  # a negative scale indicates real storage
+    frames = last - first + 1 if last < 65535 else 0  # longer trials have their length in the parameters
     need = 512 * (start - 1) + frames * (4 * points + analogs) * (4 if real else 2)
     padded_size = -(-need // 512) * 512
     one_more = len(content) == padded_size + 512 and not any(
@@ -295,7 +295,7 @@ def _check_size(content: bytes, path: Path) -> int:
     )  # some writers end with an empty block
     if len(content) < need or (frames and len(content) not in (need, padded_size) and not one_more):
         raise FileFormatError(
-            f"{path}: expected {need} bytes as its header promises, got {len(content)}. The file is damaged. Copy it again."
+            f"{path}: expected {need} bytes according to its header, got {len(content)}. The file is damaged. Copy it again."
         )
     return analogs
 
@@ -346,7 +346,7 @@ def read_trc(path: str | Path, up: Up | None = None) -> Markers:
 
 
 def _rows(lines: list[str], width: int, path: Path) -> tuple[FloatArray, FloatArray, int]:
-    """Return time (N,), cells (N, width - 2), and how many rows are short: they end after a marker, and are filled with NaN."""
+    """Return time (N,), cells (N, width - 2), and the number of short rows, which end after a marker and are filled with NaN."""
     rows = [(number, line.split("\t")) for number, line in enumerate(lines[5:], start=6) if line.strip()]
     out = np.full((len(rows), width), np.nan)
     for row, (number, cells) in enumerate(rows):

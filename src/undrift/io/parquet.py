@@ -1,10 +1,10 @@
-"""Parquet, undrift's own format: column names carry the unit, the schema carries frame, state and device.
+"""Parquet, undrift's own format: column names contain the unit, and the schema contains frame, state and device.
 
-The schema metadata contains the key ``undrift``: ``{"kind": "undrift.record", "format": 1, "gyro_unit": "dps",
-"accel_unit": "g", "frame": "s", "state": "raw", "device": "MTi-1"}``. A corrected record also has ``accel_uncertainty``
-(see record.ForceUncertainty) and, if an offset was subtracted, ``offset_uncertainty``, rad/s. The second key,
-``undrift.crc32``, is the CRC-32 of the first key and of the column names. Each page has its own CRC, so that a changed
-byte is refused. Files of any size are read and written in chunks of constant memory.
+The schema metadata contains the key ``undrift``: ``{"kind": "undrift.record", "format": 1, "gyro_unit": "dps", "accel_unit": "g",
+"frame": "s", "state": "raw", "device": "MTi-1"}``. A corrected record also has ``accel_uncertainty`` (see record.ForceUncertainty)
+and, if an offset was subtracted, ``offset_uncertainty``, rad/s. The second key, ``undrift.crc32``, is the CRC-32 of the first key
+and of the column names. Each page has its own CRC, so that a changed byte is detected. Files of any size are read and written in
+chunks of constant memory.
 """
 
 import json
@@ -22,13 +22,13 @@ from undrift.io.column_map import READ_SETTINGS, ColumnMap, native_map
 from undrift.io.columns import FORMAT, KIND, RawTable, build_record, marks_of, native_columns, read_marks
 from undrift.record import Record
 
-CHUNK_ROWS = 65_536  # 4 MB of seven channels: stays in the cache
+CHUNK_ROWS = 65_536  # 4 MB for seven channels, which fit into the cache
 _KEY, _CRC = b"undrift", b"undrift.crc32"
 _BUFFER = 1 << 20
 
 
 def read_parquet(path: str | Path, how: ColumnMap = READ_SETTINGS) -> RawTable:
-    """Read a table; its own map and marks are those of undrift's names."""
+    """Read a table, with the map and marks of undrift's names."""
     with _open(path) as handle:
         return _stating(Path(path), handle, _table(path, _whole(path, handle)), how)
 
@@ -61,13 +61,13 @@ def iter_parquet(path: str | Path, how: ColumnMap = READ_SETTINGS, *, rows: int 
 
 
 def write_parquet(record: Record, path: str | Path) -> None:
-    """Write a record. Every bit reads back."""
+    """Write a record. Every bit is read back."""
     with ParquetWriter(path) as writer:
         writer.write(record)
 
 
 class ParquetWriter:
-    """Write a record chunk by chunk. The file appears under its name only when the with block ends well."""
+    """Write a record chunk by chunk. The file appears under its name only if the with block ends without an error."""
 
     write_every_s = 10.0  # name of the record, if it is recorded live
 
@@ -100,7 +100,7 @@ class ParquetWriter:
         schema = pa.schema([(name, pa.float64()) for name in names], metadata=metadata)
         if self._writer is None:
             sink = self._stack.enter_context(pa.OSFile(str(self._stack.enter_context(new_file(self.path))), "wb"))
-            how = {"write_page_checksum": True, "write_statistics": ["time_s"]}  # other rows are found by time only
+            how = {"write_page_checksum": True, "write_statistics": ["time_s"]}  # other rows are matched by time only
             self._writer = self._stack.enter_context(pq.ParquetWriter(sink, schema, use_dictionary=False, **how))
             self._schema = schema
         if not schema.equals(self._schema, check_metadata=True):
@@ -145,7 +145,7 @@ def _open(path: str | Path, *, stream: bool = False) -> Any:
 
     path = checked_file(path)
     try:
-        # Read ahead, Arrow keeps every row group it has read: as much memory as the file is long.
+        # With read-ahead, Arrow keeps every row group that it has read, so memory would grow to the size of the file.
         buffer = _BUFFER if stream else 0
         return pq.ParquetFile(path, pre_buffer=not stream, buffer_size=buffer, page_checksum_verification=True)
     except (pa.ArrowInvalid, OSError) as error:
@@ -170,7 +170,7 @@ def _batches(path: str | Path, handle: Any, rows: int) -> Iterator[Any]:
         for batch in handle.iter_batches(batch_size=rows):
             batches.append(batch)
             count += batch.num_rows
-            while count >= rows + 2:  # the remainder is a chunk of its own
+            while count >= rows + 2:  # the remainder is a separate chunk
                 table = pa.Table.from_batches(batches)
                 yield table.slice(0, rows)
                 batches, count = table.slice(rows).to_batches(), count - rows
@@ -186,7 +186,7 @@ def _crc(names: Iterable[str], statement: bytes) -> bytes:
 
 
 def _stating(path: Path, handle: Any, table: RawTable, how: ColumnMap) -> RawTable:
-    """Return the table with its own map and marks, unless a map names its columns."""
+    """Return the table with its map and marks, unless a given map names the columns."""
     if how.columns:
         return table
     own = native_map(table.names, how, source=str(path))
@@ -200,7 +200,7 @@ def _stating(path: Path, handle: Any, table: RawTable, how: ColumnMap) -> RawTab
     if held.get("kind") != KIND or held.get("format") != FORMAT:
         raise FileFormatError(
             f"{path}: expected {KIND} format {FORMAT}, got {held.get('kind')} format {held.get('format')}. Read it with the "
-            "undrift that wrote it."
+            f"version of undrift that wrote it."
         )
     marks = read_marks(held, f"{path}: expected the frame, state and device of a recording, got other keys")
-    return replace(table, own=own if how.gaps else own.but(gaps="keep"), marks=marks)  # NaN in it is a gap
+    return replace(table, own=own if how.gaps else own.but(gaps="keep"), marks=marks)  # NaN means a gap

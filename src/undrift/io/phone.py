@@ -1,9 +1,8 @@
-"""Exports of phone apps: a file for each sensor, in a folder or a zip, all on one clock.
+"""Exports of phone apps: one file per sensor, in a folder or a zip archive, all with the same clock.
 
-Apps: Sensor Logger, phyphox. The accelerometer is interpolated onto the time stamps of the gyroscope. Sensor Logger
-names each file after its sensor. Accelerometer.csv is without gravity. On iOS, its acceleration has the opposite sign of
-specific force, unless Metadata.csv contains that units and frames are standardised. phyphox already reverses the sign on
-iOS.
+Apps: Sensor Logger, phyphox. The accelerometer is interpolated onto the time stamps of the gyroscope. Sensor Logger names each file
+after its sensor. Accelerometer.csv is without gravity. On iOS, its acceleration has the opposite sign of specific force, unless
+Metadata.csv indicates that units and frames are standardised. phyphox already reverses the sign on iOS.
 """
 
 import csv
@@ -29,17 +28,17 @@ OPPOSITE_SIGN = "acceleration multiplied by -1: iOS reads -1 g along an axis tha
 UNKNOWN_SIGN = "the file does not give the sign of acceleration (iOS and Android differ). Export Metadata.csv too."
 _GYRO = ("Gyroscope.csv", "GyroscopeUncalibrated.csv")
 _ACCEL = ("TotalAcceleration.csv", "AccelerometerUncalibrated.csv", "Accelerometer.csv")
-_UNITS = {"gyro": "rad/s", "accel": "m/s2"}  # manual of Sensor Logger
-_NO_GRAVITY = 3.0  # median size of an acceleration: g below, m/s2 above
+_UNITS = {"gyro": "rad/s", "accel": "m/s2"}  # from the manual of Sensor Logger
+_NO_GRAVITY = 3.0  # limit of an acceleration's median: g below it, m/s2 above it
 
 
 def is_phone(path: Path) -> bool:
-    """Return whether a folder is an export of a phone."""
+    """Return True if a folder is an export of a phone."""
     return all(any((path / name).is_file() for name in names) for names in (_GYRO, _ACCEL))
 
 
 def phone_pair(files: Sequence[Path]) -> tuple[Path, Path] | None:
-    """Return gyroscope and accelerometer from two files of a phone in one folder, or None if their names do not match."""
+    """Return the paths of gyroscope and accelerometer for two files of a phone in a folder, or None if their names do not match."""
     order = sorted(files, key=lambda file: file.name not in _GYRO)
     if len(order) != 2 or order[0].parent != order[1].parent:
         return None
@@ -53,9 +52,7 @@ def read_phone(path: Path, how: ColumnMap) -> RawTable:
 
 
 def read_phone_pair(gyro_file: Path, accel_file: Path, how: ColumnMap) -> RawTable:
-    """Read gyroscope and accelerometer of a phone. The accelerometer is interpolated onto the time stamps of the
-    gyroscope.
-    """
+    """Read gyroscope and accelerometer of a phone. The accelerometer is interpolated onto the time stamps of the gyroscope."""
     path, name, other = gyro_file.parent, gyro_file.name, accel_file.name
     gyro, gyro_start = _read_file(gyro_file, how)
     accel, accel_start = _read_file(accel_file, how)
@@ -86,19 +83,19 @@ def _read_file(file: Path, how: ColumnMap) -> tuple[ReadResult, np.datetime64]:
 
 
 def is_phone_zip(path: Path) -> bool:
-    """Return whether a zip is an export of a phone, from the names of the files in it."""
+    """Return True if a zip archive is an export of a phone, from the names of its files."""
     with zipfile.ZipFile(path) as archive:
         names = {PurePosixPath(name).name for name in archive.namelist()}
     return not (names.isdisjoint(_GYRO) or names.isdisjoint(_ACCEL))
 
 
 def read_phone_zip(path: Path, how: ColumnMap) -> RawTable:
-    """Read the zip that an app of a phone exports, as the folder in it."""
+    """Read the zip archive that a phone app exports, like the folder in it."""
     wanted = (*_GYRO, *_ACCEL, "Metadata.csv")
     with sound(path, "zip"), zipfile.ZipFile(path) as archive, TemporaryDirectory() as folder:
         for item in archive.infolist():
             name = PurePosixPath(item.filename).name
-            if name in wanted and item.file_size > MOST_BYTES:  # zipfile unpacks at most the stated size
+            if name in wanted and item.file_size > MOST_BYTES:  # zipfile unpacks at most the size in its header
                 raise too_large(path)
             if name in wanted:
                 (Path(folder) / name).write_bytes(archive.read(item))
@@ -108,7 +105,7 @@ def read_phone_zip(path: Path, how: ColumnMap) -> RawTable:
             raise type(error)(str(error).replace(folder, str(path)), **error.numbers) from error
 
 
-# ---- Sensor Logger: one sensor a file
+# ---- Sensor Logger: one file per sensor
 
 
 def read_sensor_logger(path: Path, how: ColumnMap) -> RawTable:
@@ -123,7 +120,7 @@ def _sensor_logger(sheet: Sheet) -> Sheet:
     names = tuple(f"{kind} {name}" if name in AXES else name for name in sheet.text.names)
     names = tuple(re.sub("^acceleration(?=[XYZ]$)", "Linear acceleration", name) for name in names)
     labels = [None if name == "time" else label_of(name, "s" * (name == "seconds_elapsed"), _UNITS) for name in names]
-    notes = ["units by the manual of Sensor Logger, not in the file: accel m/s2, gyro rad/s"]
+    notes = ["units from the manual of Sensor Logger, not from the file: accel m/s2, gyro rad/s"]
     if any(label and label.channel == "accel" for label in labels):
         unit, sign, accel_notes = _accel_unit_and_sign(sheet)
         labels = [
@@ -152,8 +149,8 @@ def _accel_unit_and_sign(sheet: Sheet) -> tuple[str, float, list[str]]:
 
 
 def _follows_ios(path: Path) -> bool | None:
-    """Return whether Sensor Logger kept signs and units of iOS according to Metadata.csv, or None if the file does not
-    contain it.
+    """Return True if, according to Metadata.csv, Sensor Logger kept signs and units of iOS, or None if the file does not contain
+    this.
     """
     lines = as_utf8(read_bytes(path)).decode().splitlines() if path.is_file() and path.stat().st_size else []
     row = {key: str(cell).strip().lower() for key, cell in next(csv.DictReader(lines), {}).items()}

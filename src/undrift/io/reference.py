@@ -1,18 +1,18 @@
 """References: poses from tables of quaternions, of named bodies (OpenSim), and anatomical bodies from skin markers.
 
-All axes of a body are x forward, y left, z up, as a device worn at the back would be mounted. With mid(.) the mean of markers::
+The axes of every body are x forward, y left, z up, as for a device worn on the back. mid(.) is the mean of markers::
 
     pelvis   rigid cluster of the four spines (ASIS, PSIS), or of the belt markers at the sides and the back (MWT, BWT);
              origin: middle of the rear pair, y from right to left, x from the rear pair to the front pair
     trunk    the line from mid(PSIS) or the rear belt markers (origin) to C7 is z, x to the front of the pelvis: the
-    trunk's lean is the tilt of its z. Not rigid, because it bends with the spine
+    lean of the trunk is the tilt of its z. The trunk is not rigid, because it bends with the spine
 
 A cluster is fitted to all of its markers (io/mocap.py). The anatomical axes belong to its mean shape. A frame without
 all markers of the body is a gap, because a fit to fewer markers would jump with skin movement.
 
-OpenSim       .sto: cells "w,x,y,z", a column for each sensor
+OpenSim       .sto: cells "w,x,y,z", one column per sensor
 
-A file of poses may contain several bodies, of which the caller names one. Quaternions are scalar first and turn the
+A file of poses may contain several bodies, of which the caller selects one. Quaternions are scalar first and turn the
 body to the laboratory. Zeros, NaN or empty cells mark a lost body.
 """
 
@@ -51,7 +51,7 @@ from undrift.units import RADIAN_PER_DEGREE, si_factor
 
 BodyName = Literal["pelvis", "trunk"]
 
-# Compared without a prefix up to ":", case, dots, blanks and underscores: r.PSIS, RPSI and Subject:RPSI are one marker.
+# Labels are compared without a prefix up to ":", case, dots, spaces and underscores: r.PSIS, RPSI and Subject:RPSI are equal.
 ALIASES = {
     "LASI": ("LASI", "LASIS"),
     "RASI": ("RASI", "RASIS"),
@@ -61,8 +61,8 @@ ALIASES = {
 # left front, right front, left rear, right rear
 _PELVES = (("LASI", "RASI", "LPSI", "RPSI"), ("LMWT", "RMWT", "LBWT", "RBWT"))
 
-# From mid(PSIS), at the level of S2, to the skin over the spinous process of L5, and half a case further back. Assumed:
-# anatomy of an adult, no measurement; state the offset that was measured where there is one.
+# Position relative to mid(PSIS), at the level of S2: on the skin over the spinous process of L5, plus half a case further back.
+# Assumed from the anatomy of an adult, not measured. Enter the measured offset if there is one.
 L5_OFFSET = (-0.02, 0.0, 0.035)
 
 
@@ -70,10 +70,10 @@ L5_OFFSET = (-0.02, 0.0, 0.035)
 class Body:
     """A segment as an anatomical frame in every frame of a recording."""
 
-    # Orientation b to n (b: x forward, y left, z up) and position of its origin, m, or NaN if a marker is missing
+    # orientation b to n (b: x forward, y left, z up) and position of the origin, m, or NaN if a marker is missing
     reference: Reference
-    labels: tuple[str, ...]  # Markers used, as the file calls them
-    residual: float  # root mean square of the residuals of a rigid body, m (0 for a body that is made of lines)
+    labels: tuple[str, ...]  # used markers, with their names in the file
+    residual: float  # root mean square of the residuals of a rigid body, m (0 for a body defined by lines)
 
 
 def find_body(markers: Markers, name: BodyName) -> Body:
@@ -109,7 +109,7 @@ def find_body(markers: Markers, name: BodyName) -> Body:
 def device_on(body: Body, *, offset_b: tuple[float, float, float] = L5_OFFSET) -> Reference:
     """Return the poses of a device fixed on a body, with the axes of the body.
 
-    ``p_d = p_b + R_nb r``: the device's case d is at r from the body's origin.
+    ``p_d = p_b + R_nb r``: the device's case d is at the position r relative to the body's origin.
     """
     poses = body.reference
     position = np.asarray(poses.position) + rotate(poses.q_nb, np.array(offset_b))
@@ -146,7 +146,7 @@ def _pelvis_axes(shape: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _axes(*, up: FloatArray, forward: FloatArray) -> FloatArray:
-    """Return R_nb (..., 3, 3): z along up, x towards forward."""
+    """Return R_nb (..., 3, 3), with z along up and x towards forward."""
     z = up / np.linalg.norm(up, axis=-1, keepdims=True)
     y = np.cross(z, forward)
     y = y / np.linalg.norm(y, axis=-1, keepdims=True)
@@ -155,8 +155,8 @@ def _axes(*, up: FloatArray, forward: FloatArray) -> FloatArray:
 
 # ---- tables of quaternions
 
-# undrift's own names, in CSV, Parquet and mat: time_s, these, and optionally the position and moving.
-NEARLY_UNIT = 0.01  # devices round, and some scale: such quaternions are made unit, others are refused
+# undrift's own names in CSV, Parquet and mat: time_s, the following, and optionally position and moving.
+NEARLY_UNIT = 0.01  # devices round, and some scale: such quaternions are normalised, others are refused
 
 
 _ANGLE = {"rad": 1.0, "deg": RADIAN_PER_DEGREE}
@@ -173,30 +173,30 @@ class PoseColumns(FileTable):
     quaternion: tuple[Column, Column, Column, Column] = QUATERNION  # w, x, y, z, in this order
     time: Column | None = None  # time column; without it ``sample_rate_hz`` is required
     position: tuple[Column, Column, Column] | None = None  # x, y, z
-    # columns x, y, z of three or more markers of one rigid body, in place of a quaternion
+    # columns x, y, z of three or more markers of a rigid body, instead of a quaternion
     markers: tuple[tuple[Column, Column, Column], ...] = ()
     matrix: tuple[Column, ...] | str = ()  # nine columns of rotation matrices by rows, or the name of one array (mat)
-    angle: Column | None = None  # angle of an encoder about ``axis``, in place of a quaternion
+    angle: Column | None = None  # angle of an encoder about ``axis``, instead of a quaternion
     moving: Column | None = None  # column that is 1 in motion
     counter: Column | None = None  # frame counter, which may wrap; used by a regular clock
 
 
 class ReferenceMap(FileTable):
-    """Where poses are in a foreign file."""
+    """Columns and conventions of poses in a foreign file."""
 
     columns: PoseColumns = PoseColumns.model_construct()
     units: dict[Literal["time", "position", "markers", "angle"], str] = Field(
         default_factory=dict
     )  # unit of each named column
-    sample_rate_hz: float | None = None  # Hz, without a time column
-    # "body_to_level" as undrift has it, or "level_to_body" for the inverse
+    sample_rate_hz: float | None = None  # sample rate of a file without a time column, Hz
+    # "body_to_level" as in undrift, or "level_to_body" for the inverse
     turns: Literal["body_to_level", "level_to_body"] = "body_to_level"
     up: Literal["x", "y", "z", "-x", "-y", "-z"] = "z"  # axis of the laboratory that points up
     # axis of the laboratory about which the angle is positive, right-handed; the body's axes are the laboratory's at 0
     axis: tuple[float, float, float] | None = None
-    repair_time: bool = False  # leave out rows whose time does not go forward
-    clock: Clock = "file"  # "file", or "regular" for stamps of a host: a rate and an offset are fitted to them
-    layout: TextLayout = TextLayout.model_construct()  # for text files
+    repair_time: bool = False  # omit rows whose time does not increase
+    clock: Clock = "file"  # "file", or "regular" for time stamps of a host, to which a rate and an offset are fitted
+    layout: TextLayout = TextLayout.model_construct()  # layout of text files
 
     def wanted(self) -> tuple[Column, ...]:
         """Return all mapped columns."""
@@ -238,7 +238,7 @@ def _check(how: ReferenceMap) -> None:
     if how.columns.matrix and len(how.pose()) != 9:
         raise InputError(f"columns.matrix: expected nine columns, got {len(how.pose())}. Name them row by row.")
     if how.columns.angle is not None and (how.axis is None or not any(how.axis)):
-        raise InputError("axis: expected the axis of the angle, got none. Write, for example, axis = [0, 0, 1].")
+        raise InputError("axis: expected the axis of the angle, got none. For example, write axis = [0, 0, 1].")
     if how.columns.angle is not None and how.units.get("angle") not in _ANGLE:
         raise InputError(f'units.angle: expected "deg" or "rad", got {how.units.get("angle", "none")}. Set the unit.')
 
@@ -249,7 +249,7 @@ def read_text_poses(path: Path, columns: ReferenceMap | None = None) -> Referenc
 
 
 def poses_in(text: Text, columns: ReferenceMap | None) -> Reference:
-    """Return the poses of a text table that is open."""
+    """Return the poses in an open text table."""
     columns = columns or _native_map(text.path, text.names)
     return _poses(parse_text(text, columns.wanted()), columns, text.path)
 
@@ -261,15 +261,13 @@ def read_parquet_poses(path: Path, columns: ReferenceMap | None = None) -> Refer
 
 
 def read_array_poses(arrays: Arrays, path: Path, columns: ReferenceMap | None = None) -> Reference:
-    """Return the poses that named arrays hold (mat)."""
+    """Return the poses in named arrays (mat)."""
     columns = columns or _native_map(path, tuple(name for name, _ in arrays))
     return _poses(table_of_arrays(arrays, path, columns.wanted()), columns, path)
 
 
 def write_reference(reference: Reference, path: str | Path) -> None:
-    """Write poses with undrift's own names. Every number reads back to the same bits, except for the normalisation of
-    quaternions.
-    """
+    """Write poses with undrift's own names. Every number is read back without loss, except for the normalisation of quaternions."""
     import pyarrow as pa
     from pyarrow import parquet as pq
 
@@ -316,7 +314,7 @@ def _poses(table: RawTable, how: ReferenceMap, path: Path) -> Reference:
     time, kept, _ = read_time(table, ColumnMap(columns=clock, units={"time": how.units.get("time", "")}, **keys))
     keep = np.ones(len(table), dtype=np.bool_) if kept is None else kept
     lost = int((~keep).sum())
-    name = f"{path.name} ({lost} rows left out, whose time does not go forward)" if lost else path.name
+    name = f"{path.name} ({lost} rows left out, because their time does not increase)" if lost else path.name
     moving = None if named.moving is None else table.numbers(named.moving)[keep]
     levelled = np.array(_LEVELLED[how.up])
 

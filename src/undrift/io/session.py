@@ -1,20 +1,20 @@
-"""session.toml: the recordings of one calibration and what was done in them. Each class is a table of the file, in its units.
+"""session.toml: the recordings of one calibration, with their rests and turns. Each class is a table of the file, in its units.
 
 [session]
 kind = "calibration"                # calibration | thermal | static
 serial = "MTi-1"
 gravity_m_s2 = 9.81                 # or latitude_deg and height_m
-mounting = "one"                    # of a fit to references: one mounting for all recordings; each its own without it
-[rate_table]                        # standard uncertainties (record.RateTable); may be left out, and so may each key
+mounting = "one"                    # for a fit to references: one mounting for all recordings; default: each its own
+[rate_table]                        # standard uncertainties (record.RateTable); optional, and so is each key
 [temperature]                       # sensitivity of the device to temperature (record.TemperatureSensitivity); likewise
 [[recording]]
 file = "session.csv"                # and the keys of a map (io/column_map.py); none for undrift's own names and known formats
-[[recording]]                       # files side by side, one time base: as many tables of columns as files
+[[recording]]                       # files side by side with one time base: one table of columns per file
 file = ["acc.txt", "gyro.txt"]
 columns = [{ time = 0, accel = [1, 2, 3] }, { time = 0, gyro = [1, 2, 3] }]
 units = { time = "s", accel = "count", gyro = "count" }
 [[still]]                           # start_s, stop_s on the recording's own clock; optional face, temp_c
-[[turn]]                            # likewise; optional axis, turn_rate_dps or angle_deg, temp_c
+[[turn]]                            # as for [[still]]; optional axis, turn_rate_dps or angle_deg, temp_c
 """
 
 import hashlib
@@ -57,15 +57,15 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, gravity_at
 
 NAME = "session.toml"
 _SEAL = "# sha256 of all below: "
-_SLACK = 1e-3  # part of a sample: a time written with fewer digits still finds its sample
+_SLACK = 1e-3  # share of a sample: a time written with fewer digits still matches its sample
 
 
 class HeadEntry(FileTable):
     """[session]."""
 
     kind: Kind  # calibration, thermal or static
-    serial: str  # Device serial number
-    gravity_m_s2: float | None = None  # Local gravity, m/s2; or the next two; standard gravity is assumed without any
+    serial: str  # serial number of the device
+    gravity_m_s2: float | None = None  # local gravity, m/s2, or the next two keys (default: standard gravity)
     latitude_deg: float | None = None  # latitude and altitude of the recording
     height_m: float | None = None
     mounting: Mounting | None = None  # mounting in a fit to references: "one" for all recordings, or "each"
@@ -75,11 +75,11 @@ class RecordingEntry(ColumnMap):
     """A [[recording]]: these keys and the keys of a map."""
 
     file: str | Sequence[str]  # file next to session.toml, or several files that are joined side by side
-    sha256: str = ""  # hash of the file: another content is refused
+    sha256: str = ""  # hash of the file: changed content is refused
 
     @property
     def files(self) -> list[str]:
-        """Names of the files."""
+        """Return the names of the files."""
         return [self.file] if isinstance(self.file, str) else list(self.file)
 
 
@@ -89,33 +89,33 @@ class PieceEntry(FileTable):
     recording: int = 0  # number of the [[recording]], from 0
     start_s: float  # on the recording's own clock
     stop_s: float  # on the same clock; the sample at this time is not included
-    temp_c: Annotated[float, Ge(-273.15)] | None = None  # Chamber set-point, degC
+    temp_c: Annotated[float, Ge(-273.15)] | None = None  # set-point of the chamber, degC
 
 
 class StillEntry(PieceEntry):
     """[[still]]."""
 
-    face: Face | None = None  # Sensor axis that points up: "+x" ... "-z"; none for a free pose
+    face: Face | None = None  # sensor axis that points up, "+x" ... "-z"; none for a free pose
 
 
 class TurnEntry(PieceEntry):
     """[[turn]]."""
 
     axis: Axis | None = None  # "x", "y" or "z" of the case; none for a free rotation
-    turn_rate_dps: float | None = None  # Achieved steady rate about +axis
-    angle_deg: float | None = None  # Turned about +axis
+    turn_rate_dps: float | None = None  # achieved steady rate about +axis
+    angle_deg: float | None = None  # angle turned about +axis
 
 
 class SessionFile(FileTable):
     """The whole file."""
 
     session: HeadEntry  # device and place
-    rate_table: RateTable = RateTable()  # May be left out
-    temperature: TemperatureSensitivity = TemperatureSensitivity()  # May be left out
-    recording: Annotated[tuple[RecordingEntry, ...], MinLen(1)]  # One or more
-    still: tuple[StillEntry, ...] = ()  # May be left out
+    rate_table: RateTable = RateTable()  # optional
+    temperature: TemperatureSensitivity = TemperatureSensitivity()  # optional
+    recording: Annotated[tuple[RecordingEntry, ...], MinLen(1)]  # one or more recordings
+    still: tuple[StillEntry, ...] = ()  # optional
     turn: tuple[TurnEntry, ...] = ()
-    run: dict[str, Any] = Field(default_factory=dict)  # Journal of a rig run (rig/folder.py)
+    run: dict[str, Any] = Field(default_factory=dict)  # journal of a rig run (rig/folder.py)
 
 
 def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
@@ -126,7 +126,7 @@ def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
     folder : str or Path
         The folder, or the session.toml in it.
     clock : str or None
-        "file" or "regular": how the time of every recording is read, overruling session.toml.
+        "file" or "regular": clock of every recording, which overrides session.toml.
 
     Returns
     -------
@@ -139,7 +139,7 @@ def read_session(folder: str | Path, *, clock: Clock | None = None) -> Session:
         If a folder or recording does not exist, gravity is given twice or incompletely, a time is outside its
         recording, or data are bad.
     FileFormatError
-        If session.toml is not TOML or has an unknown, missing or wrong entry. The message names line and entry.
+        If session.toml is not TOML or has an unknown, missing or wrong entry. The message contains line and entry.
 
     Examples
     --------
@@ -198,15 +198,16 @@ def session_from_files(
     latitude_deg: float | None = None,
     height_m: float | None = None,
 ) -> Session:
-    """Return a session of recordings without a session.toml. It has no phases, and standard gravity is the default.
+    """Return a session of recordings without a session.toml. The session has no stills or turns, and standard gravity is the
+    default.
 
-    If the map has several tables of columns, that many files form one recording. Gyroscope and accelerometer files of a
+    If the map has several tables of columns, the same number of files form one recording. Gyroscope and accelerometer files of a
     phone need no map.
     """
     how = map_of(file_map)
     width = 2 if phone_pair(list(map(Path, files))) and not how.columns else max(1, len(how.parts()))
     if not files or len(files) % width:
-        wanted = "one recording or more" if width == 1 else f"{width} files for each recording, as the map has tables"
+        wanted = "one recording or more" if width == 1 else f"{width} files per recording, one per table"
         raise InputError(f"session: expected {wanted}, got {len(files)}. Name them.")
     names = [str(file) for file in files]
     results = [_read_recording(Path(), names[at : at + width], how) for at in range(0, len(files), width)]
@@ -225,7 +226,7 @@ def session_from_files(
 
 @contextmanager
 def _at(path: Path, text: str, *place: str | int) -> Iterator[None]:
-    """Name the line and the entry in errors."""
+    """Add line and entry to errors."""
     try:
         yield
     except InputError as error:
@@ -244,13 +245,13 @@ def _digests(folder: Path, entry: RecordingEntry) -> list[tuple[str, str]]:
 
 
 def _shared_map(maps: Sequence[ColumnMap]) -> FileMap | None:
-    """Return the map that all recordings share, or None if they differ or need none."""
+    """Return the common map of all recordings, or None if they differ or need no map."""
     texts = [file_map_of(how, without=("file", "temp_file", "sha256", "leave_out")) for how in maps]
     return texts[0] if texts[0].text != "{}" and texts.count(texts[0]) == len(texts) else None
 
 
 def _read_recording(folder: Path, names: list[str], how: ColumnMap) -> ReadResult:
-    """Read the file of a recording, or the files side by side that make it."""
+    """Read the file of a recording, or the files side by side that form it."""
     maps = how.parts()
     if maps and len(maps) != len(names):
         raise InputError(
@@ -292,7 +293,7 @@ def _joined(first: Record, record: Record, first_name: str, name: str) -> Record
                 raise InputError(
                     f"{name}: expected channels that {first_name} lacks, got {channel} again. Map {channel} once."
                 )
-            values = np.where(np.isnan(before), values, before)  # other axes of the same sensor
+            values = np.where(np.isnan(before), values, before)  # these are other axes of the same sensor
         added[channel] = values
         if channel in ("gyro", "accel"):
             added[f"{channel}_unit"] = getattr(record, f"{channel}_unit")
@@ -316,7 +317,7 @@ def gravity_of(
 
 
 def _piece(entry: StillEntry | TurnEntry, records: Sequence[Record]) -> Still | Turn:
-    """Return an entry as samples [start, stop) of its recording."""
+    """Return start and stop of an entry, in samples of its recording."""
     if not 0 <= entry.recording < len(records):
         raise FileFormatError(f"expected recording 0 to {len(records) - 1}, got {entry.recording}")
     time = records[entry.recording].time
@@ -328,7 +329,7 @@ def _piece(entry: StillEntry | TurnEntry, records: Sequence[Record]) -> Still | 
         )
     start, stop = map(int, np.searchsorted(time, (entry.start_s - _SLACK * step, entry.stop_s - _SLACK * step)))
     if stop <= start:
-        raise FileFormatError(f"expected a sample or more between {entry.start_s:g} and {entry.stop_s:g} s, got none")
+        raise FileFormatError(f"expected a sample between {entry.start_s:g} and {entry.stop_s:g} s, got none")
     shared: dict[str, Any] = {"start": start, "stop": stop, "recording": entry.recording, "temp_c": entry.temp_c}
     if isinstance(entry, StillEntry):
         return Still(face=entry.face, **shared)
@@ -371,14 +372,14 @@ def in_degrees(radians: float | None) -> float | None:
 
 
 def write_session(session: Session, folder: str | Path) -> None:
-    """Write a session: session.toml and one Parquet file for each record. It reads back as it was.
+    """Write a session: session.toml and one Parquet file per record. It is read back without loss.
 
     Parameters
     ----------
     session : Session
         Records with their phases.
     folder : str or Path
-        Made where it is missing.
+        Folder, created if it does not exist.
 
     Raises
     ------
@@ -398,7 +399,7 @@ def write_session(session: Session, folder: str | Path) -> None:
 
 
 def _head_of(session: Session) -> HeadEntry:
-    gravity_m_s2 = None if session.gravity_source == "standard" else session.gravity_m_s2  # nobody stated it
+    gravity_m_s2 = None if session.gravity_source == "standard" else session.gravity_m_s2  # it was not given
     return HeadEntry(kind=session.kind, serial=session.serial, gravity_m_s2=gravity_m_s2, mounting=session.mounting)
 
 
@@ -409,7 +410,7 @@ def session_toml(
     rate_table: RateTable = RateTable(),
     sensitivity: TemperatureSensitivity = TemperatureSensitivity(),
 ) -> str:
-    """Return the text of session.toml. The recordings are given by their keys."""
+    """Return the text of session.toml. The recordings are given as their keys."""
     tables: dict[str, Any] = {"session": tree_of(head)}
     for name, table in (("rate_table", rate_table), ("temperature", sensitivity)):
         tables |= {} if table == type(table)() else {name: tree_of(table)}
@@ -424,9 +425,7 @@ def _piece_toml(piece: PieceEntry) -> str:
 def proposed_toml(
     session: Session, files: Sequence[Path], folder: Path, *, file_map: FileMap | None, steady: Sequence[Turn] = ()
 ) -> str:
-    """Return the session.toml of recordings for a folder. Steady turns are written as comments, because their rate is
-    unknown.
-    """
+    """Return the session.toml of recordings for a folder. Steady turns are written as comments, because their rate is unknown."""
     width = len(files) // len(session.records)
     map_keys = {} if file_map is None else json.loads(file_map.text)
     recordings = []
@@ -447,12 +446,12 @@ def proposed_toml(
 
 
 def sealed(text: str) -> str:
-    """Return the text of a file with its checksum in the first line, so that a cut file is noticed too."""
+    """Return the text of a file with its checksum in the first line, so that truncation is detected too."""
     return f"{_SEAL}{hashlib.sha256(text.encode()).hexdigest()}\n{text}"
 
 
 def _check_seal(path: Path, text: str) -> None:
-    """Refuse a session that a run wrote and that was changed since."""
+    """Raise for a session that was changed after a run wrote it."""
     if text.startswith(_SEAL) and sealed(text.partition("\n")[2]) != text:
         raise FileFormatError(
             f"{path}: the session was changed after the run wrote it (sha256 in its first line). Restore it. If the "

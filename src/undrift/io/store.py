@@ -1,5 +1,5 @@
-"""calibration.json: a JSON object of kind "undrift.calibration", format 1. ``undrift.model`` defines its keys,
-``base.codec`` its rules.
+"""calibration.json: a JSON object of kind "undrift.calibration", format 1. ``undrift.model`` defines its keys, and ``base.codec``
+defines its rules.
 
 A key with a default is written only if its value differs from the default, so that older versions can read the file.
 """
@@ -23,12 +23,12 @@ codec.stored(form=codec.As(ColumnMap, file_map_of, lambda file_map: json.loads(f
 
 
 def write_calibration(calibration: Calibration, path: Path | str) -> None:
-    """Write a calibration to a file, whole or not at all.
+    """Write a calibration to a file, completely or not at all.
 
     Parameters
     ----------
     calibration : Calibration
-        The device's model.
+        Calibration of the device.
     path : path
         calibration.json. An existing file is replaced.
 
@@ -63,12 +63,12 @@ def read_calibration(path: Path | str) -> Calibration:
     Returns
     -------
     Calibration
-        As it was written, to the last bit.
+        Calibration as it was written, to the last bit.
 
     Raises
     ------
     FileFormatError
-        No such file, not JSON, another kind or version, a key that is missing, unknown, or of another shape.
+        The file does not exist, is not JSON, has another kind or version, or a key is missing, unknown or of another shape.
     """
     if is_imucal(Path(path)):
         return read_imucal(Path(path))
@@ -81,11 +81,11 @@ def calibration_json(calibration: Calibration) -> dict[str, Any]:
 
 
 def content_hash(calibration: Calibration) -> str:
-    """Return the sha256 of a calibration: of its keys in alphabetical order, without spaces, so that the layout does not count."""
+    """Return the sha256 of a calibration: of its keys in alphabetical order without spaces, independent of the layout."""
     text = json.dumps(calibration_json(calibration), sort_keys=True, separators=(",", ":"), ensure_ascii=False)
-    return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()  # names of files may be no UTF-8
+    return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()  # names of files may not be UTF-8
 
 
 def findings_json(findings: Iterable[Finding]) -> list[dict[str, Any]]:
-    """Return findings as files and ``--json`` hold them."""
+    """Return findings in the form used in files and by ``--json``."""
     return [codec.tree_of(item) for item in findings]

@@ -1,5 +1,5 @@
-"""What looks wrong with a recording that reads well: a wrong unit, gaps, drop-outs, dead axes, readings stuck at their
-largest. It is reported, not raised and not repaired.
+"""Find suspicious properties of a readable recording: a wrong unit, gaps, drop-outs, dead axes, saturated readings. They are
+reported, not raised or repaired.
 """
 
 from collections.abc import Iterator
@@ -13,12 +13,12 @@ from undrift.io.column_map import AXES
 from undrift.record import Record
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical, si_factor
 
-GRAVITY_RANGE = (0.8, 1.25)  # g: a worn sensor's median lies inside
+GRAVITY_RANGE = (0.8, 1.25)  # limits of a worn sensor's median, g
 ROOM_C = (-10.0, 45.0)
-JUMP_C = 5.0  # between two samples
-REST_TURN_RATE = 0.35  # rad/s, 20 deg/s: no gyroscope's offset
+JUMP_C = 5.0  # largest change between two samples, K
+REST_TURN_RATE = 0.35  # rad/s, 20 deg/s: larger than the offset of any gyroscope
 UNEVEN = 0.1  # limit of the distance between quartiles, relative to the median step
-STUCK = 8  # samples in a row at the largest reading
+STUCK = 8  # number of successive samples at the largest reading
 
 
 def find_symptoms(record: Record) -> tuple[Finding, ...]:
@@ -76,8 +76,8 @@ def _rest(record: Record) -> Iterator[Finding]:
             yield finding(
                 "recording.rest_rate",
                 "warn",
-                f"The gyroscope reads {rate_dps:.3g} deg/s in its quietest two seconds (at {quiet_s:.6g} s): it turns "
-                "steadily, or its unit or scale is wrong.",
+                f"The gyroscope reads {rate_dps:.3g} deg/s in its quietest two seconds (at {quiet_s:.6g} s): the device turns "
+                f"steadily, or unit or scale is wrong.",
                 "Check units.gyro and scale.gyro in the map.",
                 turn_rate_dps=rate_dps,
             )
@@ -95,7 +95,7 @@ def _temperature(record: Record) -> Iterator[Finding]:
         return
     low, high = float(temp.min()), float(temp.max())
     if low > ROOM_C[1] or high < ROOM_C[0]:
-        sentence = f"The temperature is {low:.1f} to {high:.1f} degC: a processor, a chamber, or a wrong scale."
+        sentence = f"The temperature is {low:.1f} to {high:.1f} degC: it may be of a processor or a chamber, or have a wrong scale."
         yield finding("recording.temperature", "warn", sentence, CHECK_TEMPERATURE, low_c=low, high_c=high)
     jumps = np.flatnonzero(np.abs(np.diff(temp)) > JUMP_C)
     if len(jumps):
@@ -111,7 +111,7 @@ def check_sampling(time: FloatArray) -> Iterator[Finding]:
         yield finding(
             "recording.host_clock",
             "warn",
-            f"The time stamps are the host's (steps of {low_ms:.3g} to {high_ms:.3g} ms). A regular clock of "
+            f"The time stamps are from the host (steps of {low_ms:.3g} to {high_ms:.3g} ms). A regular clock of "
             f"{fit.sample_rate_hz:.5g} Hz fits, with stamps up to {1e3 * fit.jitter_s:.3g} ms late and {fit.missing} samples "
             "missing.",
             "Read it with clock = 'regular' in a map.",
@@ -150,7 +150,7 @@ def _axes(channel: str, values: FloatArray) -> Iterator[Finding]:
 
 
 def find_saturated(record: Record) -> tuple[Finding, ...]:
-    """Return a finding for each end of the range at which an axis of a record sticks."""
+    """Return a finding for each end of the range at which an axis of a record is stuck."""
     symptoms = []
     for channel, values in (("gyro", record.gyro), ("accel", record.accel)):
         for axis, column in () if values is None else zip(AXES, values.T, strict=True):
@@ -164,7 +164,7 @@ def find_saturated(record: Record) -> tuple[Finding, ...]:
 
 
 def saturated_runs(column: FloatArray) -> Iterator[tuple[float, IntArray]]:
-    """Return each limit at which readings (N,) stick, and the stretches (R, 2) in which they do."""
+    """Return each limit at which readings (N,) are stuck, and the stretches (R, 2) at this limit."""
     for end in (np.fmax, np.fmin) if len(column) >= 2 * STUCK else ():
         limit = end.reduce(column)
         at_limit = column == limit
@@ -184,8 +184,8 @@ def _ends_range(column: FloatArray, limit: float, stuck: IntArray) -> bool:
     if not usual > 0.0:
         return False
     if codes[0] < 0.0 and abs(limit) < 0.1 * max(-codes[0], codes[-1]):
-        return False  # ranges are symmetric about zero: this is the level at rest of a motion to one side
-    fine = len(codes) > 10 * STUCK  # coarse codes repeat at an end as inside, but are not got to in a jump
+        return False  # ranges are symmetric about zero: this is the level at rest before motion to one side
+    fine = len(codes) > 10 * STUCK  # coarse codes repeat at an end as elsewhere, but are not reached with a jump
     far = abs(limit - middle) > 10.0 * usual
     if not (fine or far):
         return False
@@ -194,5 +194,5 @@ def _ends_range(column: FloatArray, limit: float, stuck: IntArray) -> bool:
     begins = np.flatnonzero(np.diff(column, prepend=np.nan) != 0.0)
     inside = (column[begins] != codes[0]) & (column[begins] != codes[-1])
     alone = int(np.diff(np.append(begins, len(column)))[inside].max(initial=0)) < STUCK // 2
-    large = abs(limit) > 0.5 * max(abs(codes[0]), abs(codes[-1]))  # no rest of a log without noise
+    large = abs(limit) > 0.5 * max(abs(codes[0]), abs(codes[-1]))  # not a rest in a log without noise
     return bool((far and (fine or jumped)) or (large and alone and fine))

@@ -1,10 +1,8 @@
-"""Text tables, separated by comma, tab, semicolon or blank, plain or gzip. CSV is read with a ColumnMap or undrift's
-own names.
+"""Text tables, separated by comma, tab, semicolon or space, plain or gzip. CSV is read with a ColumnMap or undrift's own names.
 
-Arrow parses the rows. Only if this fails, they are checked one by one. undrift writes the unit into every column name,
-and nothing before the header. Frame, state and device are stored in NAME.csv.json, next to NAME.csv, if they differ
-from the defaults (sensor axes, raw, no device). A corrected file is therefore never corrected twice. The same file
-lists columns, units and provenance.
+Arrow parses the rows. Only if this fails are they checked one by one. undrift writes the unit into every column name, and nothing
+before the header. Frame, state and device are stored in NAME.csv.json, next to NAME.csv, if they differ from the defaults (sensor
+axes, raw, no device). A corrected file is therefore never corrected twice. The same file lists columns, units and provenance.
 """
 
 import csv
@@ -49,21 +47,21 @@ from undrift.io.columns import (
 from undrift.io.labels import is_unit
 from undrift.record import Record
 
-Provenance: TypeAlias = Mapping[str, Any]  # origin of a record and its program, as JSON
+Provenance: TypeAlias = Mapping[str, Any]  # key for the origin of a record and its program, as JSON
 EMPTY = ["", "NaN", "nan", "NAN", "NA", "N/A", "n/a", "null", "NULL", "None", "-nan", "#N/A"]
 _HEAD = 1 << 20  # bytes at the start
-_LINES = 1 << 16  # bytes at the start, in which the layout is found
-_NUMERIC = 0.6  # share of the filled cells: in a row of readings, and in a row of units
+_LINES = 1 << 16  # number of bytes at the start from which the layout is determined
+_NUMERIC = 0.6  # smallest share of the filled cells in a row of readings, and in a row of units
 _NO_LINE_END = "the last row has no line end: it may be cut"
-_PIECE = 1 << 24  # bytes that are parsed at a time
-_LINE = 1 << 12  # bytes of the end in which blank lines are looked for
+_PIECE = 1 << 24  # number of bytes that are parsed at a time
+_LINE = 1 << 12  # number of bytes at the end that are searched for blank lines
 _INK = re.compile(rb"\S")
-_BLANK_END = re.compile(rb"(?:\n[ \t\r,;]*)+\Z")  # lines at the end without a cell that is filled
+_BLANK_END = re.compile(rb"(?:\n[ \t\r,;]*)+\Z")  # lines at the end without filled cells
 _NUMBER = re.compile(r"[ \t\r]*[-+]?(\d+\.?\d*([eE][-+]?\d+)?|\.\d+([eE][-+]?\d+)?|(?i:inf(inity)?))[ \t\r]*", re.ASCII)
 
 
 def read_csv(path: str | Path, how: ColumnMap = READ_SETTINGS) -> RawTable:
-    """Read a text table, by a map or with undrift's own names."""
+    """Read a text table, with a map or with undrift's own names."""
     path = Path(path)
     text = open_text(path, how)
     own = None if how.columns else native_map(text.names, how, source=str(path))
@@ -71,7 +69,7 @@ def read_csv(path: str | Path, how: ColumnMap = READ_SETTINGS) -> RawTable:
     table = parse_text(text, (own or how).wanted(numeric=True))
     if own is None:
         return replace(table, notes=(*table.notes, *_skipped_readings(text)))
-    own = own if marks is None or how.gaps else own.but(gaps="keep")  # undrift wrote it: an empty cell is a gap
+    own = own if marks is None or how.gaps else own.but(gaps="keep")  # empty cells are gaps
     return replace(table, notes=(*table.notes, *own.unread(text.names)), own=own, marks=marks or {})
 
 
@@ -88,11 +86,11 @@ def write_csv(record: Record, path: str | Path, made_by: Provenance | None = Non
     path, (names, columns), beside = Path(path), native_columns(record), None
     if made_by or record.frame != "s" or record.state != "raw" or record.device:
         beside = json.dumps(statement_of(record, path, names) | {"provenance": made_by or None}, indent=1) + "\n"
-    write_rows(path, names, columns, {sidecar_of(path): beside})  # none also of an earlier recording of this name
+    write_rows(path, names, columns, {sidecar_of(path): beside})  # or removes an earlier one
 
 
 def sidecar_of(path: Path) -> Path:
-    """Return the name of the file that describes a CSV, for example walk.csv.json for walk.csv."""
+    """Return the name of the file that describes a CSV file, for example walk.csv.json for walk.csv."""
     return path.with_name(path.name + ".json")
 
 
@@ -111,7 +109,7 @@ def statement_of(record: Record, path: Path, names: Sequence[str]) -> dict[str, 
 
 
 def _read_sidecar(path: Path, names: Sequence[str]) -> dict[str, Any] | None:
-    """Return what the file beside a table of undrift states; None where there is none of undrift."""
+    """Return the content of the JSON file next to a table, or None if undrift did not write such a file."""
     beside = sidecar_of(path)
     if not beside.is_file():
         return None
@@ -140,9 +138,7 @@ def _read_sidecar(path: Path, names: Sequence[str]) -> dict[str, Any] | None:
 def write_rows(
     path: Path, names: Sequence[str], columns: Sequence[FloatArray], beside: Mapping[Path, str | None] | None = None
 ) -> None:
-    """Write named columns as CSV, gaps as empty cells, and their sidecar files. Every number reads back to the same
-    bits.
-    """
+    """Write named columns as CSV, with empty cells for gaps, and their JSON file. Every number is read back without loss."""
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
 
@@ -167,7 +163,7 @@ def _table_of(names: Sequence[str], columns: Sequence[FloatArray]) -> Any:
 
 
 class Appender:
-    """Writes lines piece by piece into a new file that is whole after each, whatever ends it."""
+    """Writer of lines to a new file, piece by piece. The file is complete after each piece, even if the program is interrupted."""
 
     write_every_s = 1.0  # name of the record, if it is recorded live
 
@@ -211,7 +207,7 @@ class Appender:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Text:
-    """A text table whose layout is known, its rows not parsed yet."""
+    """A text table with known layout, whose rows are not parsed yet."""
 
     path: Path
     names: tuple[str, ...]  # header, or positions as text
@@ -220,10 +216,10 @@ class Text:
     content: bytes | None = None  # unpacked text, or None if Arrow can read the file itself
     head: bytes  # first MiB of the text
     preamble: tuple[str, ...] = ()  # lines before the header
-    units: tuple[str, ...] = ()  # cells of the row of units, if there is one
+    units: tuple[str, ...] = ()  # cells of the unit row, if there is one
 
     def cells(self, number: int = 0) -> list[str]:
-        """Return the cells of a row with decimal points, none if there is no such row."""
+        """Return the cells of a row with decimal points, or no cells if there is no such row."""
         lines = self.head.splitlines()[self.skip + number : self.skip + number + 1]
         text = [line.decode("utf-8", "replace").replace(self.layout.decimal, ".") for line in lines]
         return cells_of(text[0], self.layout.delimiter) if text else []
@@ -237,7 +233,7 @@ def text_of(path: Path, content: bytes, names: tuple[str, ...], layout: TextLayo
 
 
 def open_text(path: str | Path, layout: TextLayout | None = None) -> Text:
-    """Open a text table of a known layout and read its header."""
+    """Open a text table with a known layout and read its header."""
     layout, path = layout or TextLayout(), checked_file(path)
     blanks = layout.delimiter == " "
     content = read_bytes(path) if blanks or is_gzip(path) else None
@@ -260,13 +256,13 @@ def open_text(path: str | Path, layout: TextLayout | None = None) -> Text:
         names = tuple(next(csv.reader([header.strip(" ") if blanks else header], delimiter=layout.delimiter), ()))
         if _is_readings(names, layout.decimal):
             layout = layout.but(header=False)
-    if not layout.header:  # positions, as many as most of the first rows have columns
+    if not layout.header:  # positions, one for each column of most of the first rows
         counts = [line.count(layout.delimiter.encode()) + 1 for line in lines]
         names = tuple(str(i) for i in range(max(set(counts), key=counts.count)))
     return Text(path=path, content=content, head=head, names=names, layout=layout, skip=skip + layout.header)
 
 
-# ---- the layout of a text, found in its first lines
+# ---- layout of a text, determined from its first lines
 
 
 def sniff(path: str | Path) -> Text:
@@ -274,7 +270,7 @@ def sniff(path: str | Path) -> Text:
     path = Path(path)
     head = read_bytes(path, _LINES)
     table = find_table(path, head)
-    if table is None:  # words: the first line is the header
+    if table is None:  # the first line consists of words: it is the header
         lines = head.decode("utf-8", "replace").splitlines()[:64]
         delimiter, decimal = separators_of([line for line in lines if line.strip()])
         return open_text(path, TextLayout(delimiter=delimiter, decimal=decimal))
@@ -285,7 +281,7 @@ def sniff(path: str | Path) -> Text:
 
 
 def find_table(path: Path, content: bytes) -> Text | None:
-    """Return the table in a text in UTF-8 or Latin-1, or None if no rows of numbers follow each other."""
+    """Return the table in a text in UTF-8 or Latin-1, or None without successive rows of numbers."""
     content = as_utf8(content)
     lines = [line.decode("utf-8", "replace") for line in content[:_LINES].splitlines()]
     lines = lines[:-1] if len(content) > _LINES else lines
@@ -297,7 +293,7 @@ def find_table(path: Path, content: bytes) -> Text | None:
         return None
     above = [k for k in range(start) if lines[k].strip()]
     if is_numbered(table[start]) and start + 1 in rows and not (above and len(table[above[-1]]) == len(table[start])):
-        above, start = [*above, start], start + 1  # columns that are numbered, not named
+        above, start = [*above, start], start + 1  # the columns are numbered, not named
     width = Counter(len(table[k]) for k in rows if k >= start).most_common(1)[0][0]
     units: tuple[str, ...] = ()
     if len(above) > 1 and _are_units(table[above[-1]]) and not _are_units(table[above[-2]]):
@@ -307,11 +303,11 @@ def find_table(path: Path, content: bytes) -> Text | None:
     while len(names) > width and not names[-1]:
         names.pop()
     filled = sum(map(bool, names))
-    header = at < start and width <= 2 * filled <= 4 * width  # else the banner of a program
+    header = at < start and width <= 2 * filled <= 4 * width  # otherwise it is the banner of a program
     if header:
         width = max(width, len(names))
     else:
-        start = next(k for k in rows if k >= start and len(table[k]) == width)  # not the rest of a row
+        start = next(k for k in rows if k >= start and len(table[k]) == width)  # not the remainder of a row
     names = (names + [""] * width)[:width] if header else [*map(str, range(width))]
     return Text(
         path=path,
@@ -356,7 +352,7 @@ def cells_of(line: str, delimiter: str) -> list[str]:
 
 
 def packed(rows: bytes) -> bytes:
-    """Return rows with runs of blanks and tabs as one blank, as the parser takes them."""
+    """Return rows with each run of spaces and tabs replaced by one space, as the parser requires."""
     return re.sub(rb"^ | $", b"", re.sub(rb"[ \t]+", b" ", rows.replace(b"\r\n", b"\n")), flags=re.MULTILINE)
 
 
@@ -368,7 +364,7 @@ def _is_row(cells: list[str], decimal: str) -> bool:
 
 
 def is_numbered(cells: list[str]) -> bool:
-    """Return True for the positions of columns in place of their names: 0, 1, 2, ..."""
+    """Return True for positions of columns instead of names: 0, 1, 2, ..."""
     return len(cells) > 2 and all(cell.isdecimal() for cell in cells) and set(np.diff([*map(int, cells)])) == {1}
 
 
@@ -392,7 +388,7 @@ def _are_units(cells: list[str]) -> bool:
 
 
 def parse_text(text: Text, wanted: tuple[Column, ...]) -> RawTable:
-    """Parse the rows of a text table: piece by piece, or row by row if they do not parse so."""
+    """Parse the rows of a text table piece by piece, or row by row if this fails."""
     import pyarrow as pa
 
     positions = [find_column(text.names, column, str(text.path)) for column in wanted]
@@ -403,13 +399,13 @@ def parse_text(text: Text, wanted: tuple[Column, ...]) -> RawTable:
     try:
         parsed = pa.concat_tables(_pieces(text, start, size, positions), promote_options="permissive")
         table = RawTable(source=str(text.path), names=text.names, columns=tuple(parsed.columns))
-    except (pa.ArrowInvalid, pa.ArrowTypeError):  # a bad row, or another column that changes from numbers to words
+    except (pa.ArrowInvalid, pa.ArrowTypeError):  # a bad row, or a column that changes from numbers to words
         table = _parse_by_row(text, positions)
     return table if _ends_with_line(text) else replace(table, notes=(_NO_LINE_END,))
 
 
 def _ends_with_line(text: Text) -> bool:
-    """Return whether the last line of a text has its end."""
+    """Return True if the last line of a text ends with a line end."""
     if text.content is not None:
         return text.content.endswith(b"\n")
     with text.path.open("rb") as handle:
@@ -422,16 +418,16 @@ def _pieces(text: Text, start: int, size: int, positions: list[int]) -> Iterator
     import pyarrow as pa
 
     taken = 0
-    # one buffer for all: fresh memory costs as much as reading into it
+    # one buffer for all pieces, because allocating memory takes as long as reading into it
     buffer = bytearray(min(size, _PIECE))
     with text.path.open("rb") if text.content is None else io.BytesIO(text.content) as handle:
         handle.seek(start)
         while end := handle.readinto(buffer):
-            end = buffer.rfind(b"\n", 0, end) + 1 if start + end < size else end  # the rest begins the next piece
+            end = buffer.rfind(b"\n", 0, end) + 1 if start + end < size else end  # the remainder begins the next piece
             quotes = buffer.find(b'"', 0, end) >= 0 and any(
                 row.count(b'"') % 2 for row in bytes(buffer[:end]).split(b"\n")
             )
-            if not end or quotes:  # Arrow would take all rows after a quote that does not close into one cell
+            if not end or quotes:  # Arrow would read all rows after an unclosed quote as one cell
                 raise pa.ArrowInvalid("rows that do not end, or quotes that do not close")
             start = handle.seek(start + end)
             if start >= size and (blank := _BLANK_END.search(buffer, max(0, end - _LINE), end)):

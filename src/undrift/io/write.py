@@ -1,12 +1,11 @@
-"""Formats of records and orientations, selected by the name's ending: undrift's own tables and formats of other
-programs.
+"""Formats of records and orientations, selected by the name's ending: undrift's own tables and formats of other programs.
 
 =================  ==================================  ==============================================================
 ending             record                              orientation
 =================  ==================================  ==============================================================
 .parquet           every bit, frame, state, device     time, quaternion, angles
 .csv, .csv.gz      plain table, and NAME.csv.json      the same
-.sto                                                   OpenSense [1]_: a column for a sensor, cells w,x,y,z
+.sto                                                   OpenSense [1]_: one column per sensor, cells w,x,y,z
 =================  ==================================  ==============================================================
 
 .. [1] "OpenSense - Kinematics with IMU Data", OpenSim documentation: opensimconfluence.atlassian.net
@@ -26,7 +25,7 @@ from undrift.record import Record, sample_rate_of
 from undrift.units import RADIAN_PER_DEGREE
 
 COLUMNS = ("time_s", "q_w", "q_x", "q_y", "q_z", "inclination_deg", "heading_deg", "pitch_deg")
-Columns = tuple[Sequence[str], Sequence[FloatArray]]  # names, and a column (N,) for each
+Columns = tuple[Sequence[str], Sequence[FloatArray]]  # columns (N,) by name
 
 
 def write_record_as(record: Record, path: Path, made_by: Provenance | None = None) -> None:
@@ -44,14 +43,14 @@ def write_orientation(
 ) -> None:
     """Write orientation over time. undrift reads the quaternions of its own tables back as a reference.
 
-    Shapes are time (N,) s, q_nb (N, 4) and three angles (N,) rad. The sensor's name heads its column in .sto.
+    Shapes are time (N,) s, q_nb (N, 4) and three angles (N,) rad. The sensor's name is the column name in .sto.
     """
     values = (time, *q_nb.T, *(angle / RADIAN_PER_DEGREE for angle in angles))
     _writer(Path(path), ORIENTATION_WRITERS)((COLUMNS, values), Path(path), body)
 
 
 def files_of(path: Path) -> tuple[Path, ...]:
-    """Return the files that writing under a name makes, the named one first."""
+    """Return the files that are written under a name, starting with the named file."""
     return (path, sidecar_of(path)) if path.name.lower().endswith((".csv", ".csv.gz")) else (path,)
 
 

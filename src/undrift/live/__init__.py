@@ -3,7 +3,7 @@
 Input: an address, ``tcp://host:port?channels=...&rate=100``, or a TOML file that describes the stream. Output: a ``Record`` of a
 stretch of time, in the device's units and axes (frame s), with rows of NaN for missing readings.
 
-``transports`` opens ports and contains SOURCES, with a row for each kind of address. ``decoder`` converts bytes to rows of numbers.
+``transports`` opens ports and contains SOURCES, with one row per kind of address. ``decoder`` converts bytes to rows of numbers.
 ``clock`` fits the device's clock to the host's, from packets that arrive late but never early. ``recorder`` stores the readings: a
 thread reads the device, and other threads ask for the readings between two times. ``hands`` is a simulated device for practice.
 

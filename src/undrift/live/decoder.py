@@ -87,17 +87,17 @@ class StreamDescription:
 
     @property
     def measured(self) -> tuple[str, ...]:
-        """Measured channels, in the order of a chunk's values."""
+        """Return the measured channels, in the order of a chunk's values."""
         return tuple(name for name in self.channels if name not in (COUNTER, IGNORED))
 
     @property
     def has_counter(self) -> bool:
-        """True if the device sends a counter."""
+        """Return True if the device sends a counter."""
         return COUNTER in self.channels
 
     @property
     def tick_s(self) -> float:
-        """Device seconds per step of the counter."""
+        """Return the device seconds per step of the counter."""
         return self.tick if self.has_counter and self.tick > 0.0 else 1.0 / self.rate
 
     def record(self, time: FloatArray, values: FloatArray) -> Record:
@@ -300,7 +300,7 @@ class LineDecoder(Decoder):
 
 
 class FrameDecoder(Decoder):
-    """Decoder of frames: sync bytes, fields of fixed width, checksum of the fields. A bad frame is skipped up to the next sync."""
+    """Decoder of frames: sync bytes, fields of fixed width, checksum of the fields. Bad frames are skipped up to the next sync."""
 
     def __init__(self, description: StreamDescription) -> None:
         super().__init__(description)

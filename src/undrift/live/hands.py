@@ -1,4 +1,5 @@
-"""A simulated hand-held device for practice: it rests on a face, is moved to another face or turned by whole turns, and is read.
+"""A simulated hand-held device for practice: it rests on a face, is moved to another face or turned by whole turns, and can be
+read.
 
 ::
 
@@ -35,7 +36,7 @@ from undrift.sim.device.simulate import Seen, SimulatedDevice
 from undrift.sim.motion.motion import facing, turn_quaternion, unit_vector
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 
-# random motion of the hands, drawn for each move (all values are choices)
+# random motion of the hands, drawn for each move (all values are chosen)
 SMOOTH = Polynomial([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])  # 0 to 1, first and second derivatives vanish at both ends
 UNEVEN = 40.0 * Polynomial.fromroots([0, 0, 0, 0.5, 1, 1, 1])  # unevenness of a turn by hand, with 0 at both ends
 TILT_SD = 0.3 * RADIAN_PER_DEGREE  # standard deviation of a face's tilt about each axis, rad

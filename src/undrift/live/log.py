@@ -156,7 +156,7 @@ def description_of(pieces: Pieces, name: str, given_options: dict[str, str]) -> 
 def _log_of(pieces: Pieces, name: str) -> tuple[SerialLog, str, str]:
     """Return the readings in the bytes from a device, the words before the first number of a reading, and the last line."""
     content = b"".join(data for _, data in pieces)
-    whole_lines = content.partition(b"\n")[2]  # the first line may be torn
+    whole_lines = content.partition(b"\n")[2]  # the first line may be incomplete
     lines = [line.strip()[:60] for line in content.decode("utf-8", "replace").split("\n")[:-1]]
     last_line = next(filter(None, reversed(lines)), "")
     log, table = find_readings(whole_lines), find_table(Path(name), content)
@@ -184,7 +184,7 @@ def _readings_of(pieces: Pieces, first_words: str, count: int) -> tuple[FloatArr
 
 
 def _columns_of(proposal: MapProposal, names: Sequence[str], labels: Sequence[Label | None]) -> dict[str, list[int]]:
-    """Return the columns of each channel: the proposed ones, and a magnetometer or thermometer whose names contain its unit."""
+    """Return the columns of each channel: the proposed columns, and a magnetometer or thermometer whose names contain its unit."""
     columns_of = dict[str, list[int]]()
     for channel, entry in proposal.columns.items():
         listed = entry if isinstance(entry, list) else [entry]

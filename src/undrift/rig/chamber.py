@@ -7,7 +7,7 @@ chambers:
 
     *IDN?                          maker, model, serial number, firmware
     TEMP:SPO 45.0     TEMP:SPO?    set-point, degC
-    TEMP:RAMP 2.0     TEMP:RAMP?   steepest change, K/min
+    TEMP:RAMP 2.0     TEMP:RAMP?   largest slope, K/min
     MEAS:TEMP?                     temperature of the air, degC
     OUTP ON           OUTP?        heater and compressor, 1 or 0
     SYST:ERR?                      0,"No error" or the oldest fault
@@ -38,7 +38,7 @@ from undrift.programme import Soak
 from undrift.record import Face, Record
 from undrift.rig.link import Link
 
-FEWEST_READINGS = 6  # fewest readings that determine a slope
+FEWEST_READINGS = 6  # smallest number of readings that determine a slope
 BAUD = 9600  # bits per second of a serial port
 
 log = logging.getLogger(__name__)
@@ -172,7 +172,7 @@ class ScpiChamber(Chamber):
 
     def switch_off(self) -> None:
         try:
-            self._link.reconnect()  # so that a late answer cannot prevent switching off
+            self._link.reconnect()  # a late answer cannot prevent switching off
             if self._number("OUTP OFF;:OUTP?") != 0.0:
                 raise RigFault("chamber: heater and compressor are still on. Switch the chamber off by hand.")
         finally:
@@ -201,7 +201,7 @@ GIVING_UP = ("q", "quit", "stop")
 
 
 def ask_person(ask: Callable[[str], str], line: str, failure: str, advice: str) -> str:
-    """Print a line for a person and return the answer. Raise RigFault if the person gives up."""
+    """Print a line for a person and return the answer. Raise RigFault if the person cancels."""
     try:
         answer = ask(line).strip()
     except EOFError:
@@ -214,7 +214,7 @@ def ask_person(ask: Callable[[str], str], line: str, failure: str, advice: str) 
 class HandChamber(Chamber):
     """A chamber that a person sets. Its temperature cannot be read, so only the device's thermometer can end a soak."""
 
-    near_c = 5.0  # self-heating plus the error of an untrimmed thermometer, K
+    near_c = 5.0  # tolerance for self-heating and an untrimmed thermometer, K
 
     def __init__(self, ask: Callable[[str], str], settings: ChamberSetup = ChamberSetup()) -> None:
         super().__init__(settings)
@@ -255,7 +255,7 @@ class Readings(Protocol):
         """Start to store the readings that the device takes from now on."""
 
     def end(self) -> None:
-        """End the dwell now. ``stop`` omits later readings, because several devices are stopped one after the other."""
+        """End the dwell now. ``stop`` then omits later readings, because several devices are stopped one after another."""
 
     def stop(self) -> Record:
         """Return the readings from ``start`` to ``end`` (or to now without ``end``) and stop storing."""

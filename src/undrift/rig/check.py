@@ -41,15 +41,15 @@ class RigCheck:
     identity: str
     servo: ServoReport
     rms: float  # rad, at steady rate
-    largest: float  # rad, at steady rate and at rest at the end
-    in_run_up: float  # rad, largest during a run-up
-    turn_rate: float  # rad/s, mean of the achieved rates in either direction
+    largest: float  # largest error at steady rate and at rest at the end, rad
+    in_run_up: float  # largest error during a run-up, rad
+    turn_rate: float  # mean of the achieved rates in both directions, rad/s
 
 
 def check_rig(
     rig: Rig, clock: Clock, *, turn_rate: float, duration_s: float, report: Callable[[str], None] = lambda line: None
 ) -> RigCheck:
-    """Turn a table with a rate, rad/s, in alternating directions for a time, table s. Close it at rest with its motor off."""
+    """Turn a table at a rate, rad/s, in alternating directions for a time, table s. Close it at rest with its motor off."""
     try:
         if not hasattr(rig, "read_servo"):
             raise InputError(

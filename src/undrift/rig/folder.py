@@ -110,7 +110,7 @@ class RunFolder(AbstractContextManager["RunFolder"]):
             if value != getattr(head, name):
                 raise InputError(
                     f"{self.path}: the run began with {name} '{value}', got '{getattr(head, name)}'. "
-                    "Continue with the former, or use another folder."
+                    "Continue with this value, or use another folder."
                 )
 
     def keep(self, record: Record, piece: RecordedDwell) -> RecordedDwell:
@@ -144,7 +144,7 @@ class RunFolder(AbstractContextManager["RunFolder"]):
             write_protocol(protocol, path / PROTOCOL)
         elif self.head.protocol != self.digest:
             raise InputError(
-                f"{path}: the protocol differs from the protocol that the run began with. Compare it with {PROTOCOL} there."
+                f"{path}: the protocol differs from the protocol with which the run began. Compare it with {PROTOCOL} there."
             )
         self.pieces = tuple(piece for piece in pieces if (path / piece.name).exists())
         self._check_pieces()

@@ -5,8 +5,7 @@ the reason. The answer to a question is text before the ``:``. An answer of any 
 never moves a rig. Every number is rounded as the card rounds it before it is sent, and is read back before it is used.
 
 A turn is a move by a known distance (SP, PR, BG), which the card ends itself, even if this program has ended. If an answer is late
-or corrupted, the driver stops the axis (ST, then AB) and switches the motor off (MO). It then reports if the card confirmed the
-stop.
+or corrupted, the driver stops the axis (ST, then AB), switches the motor off (MO) and reports whether the card confirmed the stop.
 
 Sources: command references DMC-1400, 2x00 and 40x0.
 """
@@ -96,7 +95,7 @@ class GalilRig(LinkedRig):
         is_moving, is_on = self._is_moving(), self.read("is off") == 0.0
         check_free(self.name, "moving" if is_moving else "its motor on" if is_on else "", settings)
         with self._guarded():
-            self.exchange("EO 0")  # no echo
+            self.exchange("EO 0")  # switch the echo off
             self._resynchronise()
             if is_moving:
                 self._stop()
@@ -105,7 +104,7 @@ class GalilRig(LinkedRig):
             self._acceleration = self._set_ramps(min(START_ACCELERATION, self.limits.acceleration / self.rad_per_unit))
             self._enabled = self.read("is off") == 0.0
             self._home = self._read_position()
-            forward, reverse = float(largest), -float(largest)  # no limits in effect
+            forward, reverse = float(largest), -float(largest)  # switch the limits off
             if self.limits.travel is not None:
                 reach = int(self.limits.travel / self.rad_per_unit)
                 forward, reverse = self._home + reach, self._home - reach
@@ -153,7 +152,7 @@ class GalilRig(LinkedRig):
     # ---- Commands and questions
 
     def ask(self, command: str, form: str = "") -> tuple[str, ...]:
-        """Send a command and return the groups of its answer, which must have a form. By default, the form is a bare ``:``.
+        """Send a command and return the groups of its answer, which must have a given form. By default, the form is a bare ``:``.
 
         If the card rejects the command, raise RigFault with the reason from TC1.
         """

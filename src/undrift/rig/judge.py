@@ -1,4 +1,5 @@
-"""Accept or reject a dwell: steady turn, complete readings, device at rest if it should be, steady temperature of air and board.
+"""Accept or reject a dwell: check for a steady turn, complete readings, a device at rest if planned, and steady temperature of air
+and board.
 
 Let w be the turn rate, T the dwell and d the time uncertainty of a position (the link's delay). With a =
 ANGLE_TOLERANCE, a dwell is accepted if
@@ -16,7 +17,7 @@ first rests of this rig, and f the mean specific force of a face.
     |f - f(other face)|                        >= APART s               otherwise the face was not changed
     |component of f(+k) - f(-k) along k|       >= cos 30 deg of it      and of f itself along k in a physical unit
 
-In counts, an earlier face may be the one that was mounted wrongly. The message names that face.
+If readings are in counts, an earlier face may have been mounted wrongly. The message names this face.
 """
 
 import numpy as np
@@ -83,7 +84,7 @@ def check_readings(record: Record, dwell_s: float, where: str) -> int:
 
 
 def check_board(record: Record, tolerance_c: float, where: str) -> None:
-    """Raise RigFault if the device's thermometer drifts or jumps in a dwell. Without thermometer, nothing is checked."""
+    """Raise RigFault if the device's thermometer drifts or jumps in a dwell. Without a thermometer, nothing is checked."""
     if record.temp_c is None:
         return
     temp_c = record.temp_c[np.isfinite(record.temp_c)]

@@ -61,7 +61,7 @@ class Link(AbstractContextManager["Link"]):
 
     @property
     def is_open(self) -> bool:
-        """True unless the connection is known to be lost."""
+        """Return True unless the connection is known to be lost."""
         self._listen(0.0)
         return not self._lost
 
@@ -347,7 +347,7 @@ class LinkedRig(Link):
             )
 
     def _read_position(self) -> float:
-        """Return the position, units. Raise LinkError for one that the axis cannot have reached since the last one."""
+        """Return the position, units. Raise LinkError for a position that the axis cannot have reached since the last one."""
         before_s, self._asked_s = self._asked_s, self.clock.now()
         position = self._ask_position()
         reach = 1.5 * self._fastest * (self.clock.now() - before_s) + self.slack

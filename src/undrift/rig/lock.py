@@ -1,11 +1,11 @@
 """Allow one run per table, and stop the table on every signal.
 
 A table turns with finite moves only, and its controller ends each move itself. If a program is killed, its table is at rest within
-one dwell. So no second process has to watch a run.
+one dwell. Therefore no second process has to watch a run.
 
-The lock is a file in the system's temporary folder, which every user may read and lock. Its name depends only on the port
-or host of the table, not on the spelling of the address, its options or the user. The system releases the lock when its process
-ends, in any way. A run on another computer is detected when the table is opened: its motor is on or moving (RigSettings.accept).
+The lock is a file in the system's temporary folder, which every user may read and lock. Its name depends only on the port or host
+of the table, not on the spelling of the address, its options or the user. The system releases the lock when its process ends,
+however it ends. A run on another computer is detected when the table is opened: its motor is on or moving (RigSettings.accept).
 """
 
 import contextlib
@@ -123,13 +123,13 @@ def stop_rig(address: str, settings: RigSettings = RigSettings()) -> None:
 
 
 def _has_lock(address: str) -> bool:
-    """Return True unless the table is a person or is simulated in this process. Windows has no lock file."""
+    """Return True unless the table is operated by hand or simulated in this process. Windows has no lock file."""
     return os.name == "posix" and parse_address(address)[0] not in ("manual", "simulated")
 
 
 @contextmanager
 def _lock_file(address: str) -> Iterator[int]:
-    """Open the lock file of a table within the block. The file of another user can be read and locked."""
+    """Open the lock file of a table within the block. A file of another user can be read and locked."""
     path = Path("/tmp", f"undrift-rig-{hashlib.sha256(place_of(address).encode()).hexdigest()[:24]}")
     for flags in (os.O_RDWR, os.O_RDONLY, os.O_RDWR | os.O_CREAT):
         with contextlib.suppress(OSError):

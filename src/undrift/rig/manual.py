@@ -1,6 +1,6 @@
 """Manual rig: a person mounts the device on its faces and turns it by hand through known angles.
 
-A whole turn of a turntable back to its mark is 360 deg to a small fraction of a degree, at any rate. The calibration uses the
+A whole turn of a turntable back to its mark is 360 deg within a small fraction of a degree, at any rate. The calibration uses the
 angle, not the rate, so `move_by` works and `turn_for` does not.
 """
 
@@ -15,7 +15,7 @@ from undrift.rig.chamber import ask_person
 from undrift.rig.rig import Limits, Position, RigSettings
 from undrift.units import RADIAN_PER_DEGREE
 
-QUESTIONS = 3  # number of attempts to get a number
+QUESTIONS = 3  # number of attempts to enter a number
 
 
 class AskedOperator:

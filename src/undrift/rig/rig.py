@@ -48,7 +48,7 @@ def to_counts(command: str, value: float) -> int:
 
 # ---- rig
 
-ROUNDING = 1.0 + 1e-9  # a limit given in degrees is met exactly by a rate given in degrees
+ROUNDING = 1.0 + 1e-9  # a rate given in degrees may equal a limit given in degrees
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -160,11 +160,11 @@ class Achieved:
 def achieved_turn_rate(positions: Sequence[Position]) -> Achieved:
     """Return the mean rate over a dwell: the slope of a weighted least-squares line through (t_i, phi_i), weights 1 / d^2.
 
-    The time of a position is uncertain by d, the round trip of the link. Half the median d is
-    added in quadrature, so that a few quick answers do not dominate the fit. With S = sum w (t - tm)^2 and r = sum w residual^2,
-    the standard uncertainty is sqrt(r / ((n - 2) S)). It includes counts and delays, and every other error increases it. Two other
-    numbers therefore test if the table turned steadily. The first is the misfit, max |residual_i| - |slope| (d_i + median d). The
-    second is the rate between the first and the last position.
+    The time of a position is uncertain by d, the round trip of the link. Half the median d is added in quadrature, so that a few
+    quick answers do not dominate the fit. With S = sum w (t - tm)^2 and r = sum w residual^2, the standard uncertainty is sqrt(r /
+    ((n - 2) S)). It includes counts and delays, and every other error increases it. Two other numbers therefore test whether the
+    table turned steadily. The first is the misfit, max |residual_i| - |slope| (d_i + median d). The second is the rate between the
+    first and the last position.
     """
     if len(positions) < 3:
         raise InputError(
@@ -200,8 +200,8 @@ def achieved_turn_rate(positions: Sequence[Position]) -> Achieved:
 def steady_angle(turn_rate: float, seconds: float, acceleration: float) -> float:
     """Return the angle of a move with a given steady rate and total duration, ramps included.
 
-    The two ramps cover half of the angle that the steady rate covers in the same time. So angle = w (T - |w| / a), in the angle
-    unit of the arguments.
+    The two ramps cover half of the angle that the steady rate covers in the same time. Therefore angle = w (T - |w| / a), in the
+    angle unit of the arguments.
     """
     ramp_s = abs(turn_rate) / acceleration
     if not 2.0 * ramp_s <= seconds:
@@ -216,7 +216,7 @@ def steady_angle(turn_rate: float, seconds: float, acceleration: float) -> float
 
 # ---- Check of a programme against the limits of a rig, before anything moves.
 
-TRAVEL_MARGIN = 1.1  # a dwell's move is planned longer by this factor and ended early, because waits can overrun
+TRAVEL_MARGIN = 1.1  # a move is planned longer than its dwell by this factor and ended early, because waits can overrun
 
 
 def check_programme(

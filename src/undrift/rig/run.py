@@ -5,7 +5,7 @@ polls positions and stops the table. Finally, it checks the dwell (rig/judge.py)
 readings is measured with the encoder over the dwell. A dwell that was disturbed or read late is repeated, up to three times.
 
 Several devices on a table are mounted in the same orientation and read in the same dwells, with one folder per device. A device
-that fails in a dwell misses that dwell. If all devices fail, the run ends.
+that fails in a dwell misses this dwell. If all devices fail, the run ends.
 """
 
 import logging
@@ -374,7 +374,7 @@ class _Run:
 
     def _records(self, devices: Sequence[Mounted]) -> dict[Mounted, Record]:
         """Return the readings of the devices until now, and raise RigFault if the rig reports a new fault."""
-        for device in devices:  # all at the same time, so that a device without answer does not prolong other dwells
+        for device in devices:  # all at the same time, so that a silent device does not prolong other dwells
             device.readings.end()
         records = self._sound(devices, lambda device: device.readings.stop())
         fault = self._rig.fault()
