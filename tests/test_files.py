@@ -93,7 +93,7 @@ def test_packed_content_is_told_by_its_bytes_not_its_name(tmp_path):
 
 def test_missing_folder_and_empty_are_one_line_each(tmp_path):
     for path, kind, words in (
-        (tmp_path / "none", InputError, "no file of"),
+        (tmp_path / "none", InputError, "no file with"),
         (tmp_path, InputError, "got a directory"),
         (tmp_path / ("x" * 300), InputError, "name too long"),
     ):

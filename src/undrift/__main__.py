@@ -1,4 +1,4 @@
-"""``python -m undrift``: the command line, if the script is not on the path."""
+"""``python -m undrift``: run the command line if the script is not on the path."""
 
 from undrift.cli.app import main
 

@@ -1,4 +1,4 @@
-"""Arrays as values: checked once when they are created, and read-only from then on. Time is always axis 0."""
+"""Arrays as values: they are checked once when they are created, and are read-only afterwards. Time is always axis 0."""
 
 from dataclasses import dataclass, fields
 from functools import cache
@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from undrift.errors import InputError
 
-FloatArray: TypeAlias = NDArray[np.floating[Any]]  # float64 in practice: numpy's own functions promise no more
+FloatArray: TypeAlias = NDArray[np.floating[Any]]  # float64 in practice, which numpy's types do not guarantee
 BoolArray: TypeAlias = NDArray[np.bool_]
 IntArray: TypeAlias = NDArray[np.int64]
 
@@ -36,7 +36,7 @@ def frozen(x: ArrayLike, shape: tuple[int | None, ...], name: str, kind: Any = n
 
 
 def bridged(time: FloatArray, columns: FloatArray) -> FloatArray:
-    """Return columns (N, c) with gaps (NaN) filled by linear interpolation and the end values extended.
+    """Return columns (N, c) with gaps (NaN) filled by linear interpolation and end values extended.
 
     A row counts as a gap if any of its columns is NaN. At least one row must be complete.
     """
@@ -108,7 +108,7 @@ def freeze(value: Any, **lengths: int) -> None:
             continue
         what = f"{type(value).__name__}.{name}"
         wanted = tuple(lengths.get(d) if isinstance(d, str) else d for d in shape.dims)
-        if isinstance(content, list) and not content and not wanted[0]:  # an empty list lacks the row length
+        if isinstance(content, list) and not content and not wanted[0]:  # an empty list has no row length
             content = np.zeros((0, *(n or 0 for n in wanted[1:])))
         array = frozen(content, wanted, what, {float: np.float64, int: np.int64}.get(kind, kind))
         lengths |= {d: n for d, n in zip(shape.dims, array.shape, strict=True) if isinstance(d, str)}

@@ -7,7 +7,7 @@ UndriftError
     NotObservable              the data do not determine a parameter
     PoorFit                    the model does not describe the data
     Implausible                the fit is precise, but its result is impossible for this device
-  DriftRangeError              a temperature outside the tuning table
+  DriftRangeError              a temperature is outside the tuning table
   AlignmentError               two recordings cannot be aligned
   RigError                     a rate table or device failed
     LinkError, RigTimeout, RigFault, LimitError
@@ -19,7 +19,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 
 class UndriftError(Exception):
-    """Root of all errors undrift raises on purpose.
+    """Root of all errors that undrift raises on purpose.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def check_positive(settings: object, what: str, advice: str, *names: str) -> Non
 
 
 def check_type(value: object, kind: type | UnionType, where: str, advice: str = "") -> None:
-    """Raise InputError if a value is not of a class. ``where`` names the function and its parameter."""
+    """Raise InputError if a value is not an instance of a class. ``where`` names the function and its parameter."""
     if not isinstance(value, kind):
         wanted = " or ".join(each.__name__ for each in (get_args(kind) or (kind,)) if each is not type(None))
         raise InputError(f"{where}: expected {wanted}, got {type(value).__name__}.{advice and ' '}{advice}")

@@ -46,9 +46,9 @@ def checked_file(path: str | Path) -> Path:
     path = Path(path)
     try:
         if path.is_dir():
-            raise InputError(f"{path}: expected a file, got a directory. Name the file in it.")
+            raise InputError(f"{path}: expected a file, got a directory. Give a file in it.")
         if not path.exists():
-            raise InputError(f"{path}: there is no file of that name. Check the path.")
+            raise InputError(f"{path}: there is no file with this name. Check the path.")
         if path.stat().st_size == 0:
             raise FileFormatError(f"{path}: expected a recording, got an empty file. Record or copy it again.")
     except OSError as error:
@@ -160,7 +160,7 @@ Content = bytes | str | Callable[[Path], object] | None  # content of a file, or
 
 
 def write_whole(path: Path | str, content: Content) -> None:
-    """Write a file completely or not at all. An existing file of that name is replaced."""
+    """Write a file completely or not at all. An existing file with this name is replaced."""
     write_together({Path(path): content})
 
 
@@ -177,7 +177,7 @@ def write_together(files: Mapping[Path, Content]) -> None:
             if callable(content):
                 try:
                     content(draft)
-                except InputError as error:  # names the draft
+                except InputError as error:  # part of the draft's name
                     raise (error.__cause__ if isinstance(error.__cause__, OSError) else error) from None
             else:
                 draft.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
@@ -191,7 +191,7 @@ def write_together(files: Mapping[Path, Content]) -> None:
 
 @contextmanager
 def new_file(path: Path) -> Iterator[Path]:
-    """Yield an empty temporary file next to a path. It takes the name at the end of the block, complete on the disk.
+    """Yield an empty temporary file next to a path. At the end of the block, it is complete on the disk and gets its name.
 
     If the block fails, it is deleted. Its mode is copied from the file that it replaces, or follows the umask.
     """
@@ -221,7 +221,7 @@ def synchronise(path: Path) -> None:
 
 
 def errno_of(error: OSError) -> int | None:
-    """Return the errno of an error. Errors of Arrow have it in their text only."""
+    """Return the errno of an error. Arrow's errors contain it only in their text."""
     match = re.search(r"\[errno (\d+)\]", str(error))
     return int(match[1]) if match and error.errno is None else error.errno
 
@@ -243,7 +243,7 @@ def unwritten(path: Path, error: OSError) -> InputError:
     path = path.parent.parent / path.name if path.parent.name.startswith(_HIDDEN) else path
     if is_full(error):
         return InputError(
-            f"{path}: expected free disk space, but the disk is full or a quota is used up. Free space and run it again."
+            f"{path}: expected free disk space, but the disk is full or a quota is used up. Free space and run the command again."
         )
     number = errno_of(error)
     why = os.strerror(number) if number else error
@@ -252,19 +252,20 @@ def unwritten(path: Path, error: OSError) -> InputError:
 
 @contextmanager
 def new_folder(folder: Path) -> Iterator[Path]:
-    """Yield a hidden draft of a new folder. It gets its name at the end of the block, all of it or nothing.
+    """Yield a hidden draft of a new folder. At the end of the block, the complete folder gets its name. If the block fails, there
+    is no folder.
 
     Drafts of killed runs are deleted after a day.
     """
     if folder.exists():
-        raise InputError(f"{folder}: the folder exists already. Choose another name.")
+        raise InputError(f"{folder}: the folder already exists. Choose another name.")
     if not folder.parent.is_dir():
         raise InputError(f"{folder}: the folder {folder.parent} does not exist. Create it first.")
     for stale in folder.parent.glob(f"{_HIDDEN}*"):
         with suppress(FileNotFoundError):  # another process may delete its folder at the same time
             if stale.stat().st_mtime < time.time() - _STALE_S:
                 shutil.rmtree(stale, ignore_errors=True)
-    hidden = folder.parent / f"{_HIDDEN}{secrets.token_hex(8)}"  # named first: a signal in between leaves nothing
+    hidden = folder.parent / f"{_HIDDEN}{secrets.token_hex(8)}"  # named first: a signal leaves nothing
     try:
         hidden.mkdir(mode=0o700)
         yield hidden / folder.name
@@ -276,7 +277,7 @@ def new_folder(folder: Path) -> Iterator[Path]:
 
 
 def take_lock(handle: int, wait_s: float = 2.0) -> None:
-    """Lock an open file for this process. OSError if another process still has the lock after ``wait_s`` seconds.
+    """Lock an open file for this process. Raise OSError if another process still has the lock after ``wait_s`` seconds.
 
     The wait is needed because a newly forked process keeps the locks of its parent until it has closed the files.
     """

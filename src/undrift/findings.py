@@ -1,4 +1,4 @@
-"""Findings: the remarks of a fit, written where they are raised. Each has a code, a level, a sentence, an action and numbers.
+"""Findings: remarks about a result, written where they are raised. Each has a code, a level, a sentence, an action and numbers.
 
 ::
 
@@ -10,7 +10,7 @@
         tilt_deg=tilt_deg,
     )
 
-The sentence says what was found, with number, unit and limit. The action is one instruction, or "" if there is nothing to do.
+The sentence describes the finding, with number, unit and limit. The action is one instruction, or "" if there is nothing to do.
 Values are the numbers that programs read.
 """
 
@@ -28,7 +28,7 @@ Level = Literal["info", "warn", "fail"]
 Status = Literal["good", "marginal", "bad"]
 Value = float | int | str | bool | tuple[float, ...] | tuple[str, ...]
 
-SHOWN_FIRST = 3  # findings that a person sees without asking for details
+SHOWN_FIRST = 3  # number of findings that are shown without details
 _LEVELS = ("fail", "warn", "info")
 
 
@@ -59,15 +59,15 @@ class Finding:
     Parameters
     ----------
     code : str
-        Stage and subject, "six_face.tilt".
+        Stage and subject, for example "six_face.tilt".
     level : str
         info, warn or fail.
     values : mapping
         Numbers for programs. A unit that is not SI is part of the key ("tilt_deg").
     sentence : str
-        What was found, with number, unit and limit. In files this is the key ``text``.
+        Description of the finding, with number, unit and limit. In files, this is the key ``text``.
     action : str
-        What to do, or "".
+        One instruction, or "".
 
     Examples
     --------
@@ -88,7 +88,7 @@ class Finding:
 
     @property
     def text(self) -> str:
-        """Sentence and action. The command line and the page show back-ticked arguments in their own words."""
+        """Return sentence and action. The command line and the page replace back-ticked arguments by their own words."""
         return spoken_finding(f"{self.sentence} {self.action}".rstrip())
 
 
@@ -111,12 +111,12 @@ def above(
 
 
 def two_digits(value: float) -> str:
-    """Return a number with two significant digits, or from 100 on as a whole number."""
+    """Return a number with two significant digits, or as a whole number from 100."""
     return f"{value:.2g}" if value < 99.5 else f"{value:.0f}"
 
 
 def told_apart(value: float, form: str, limit: float) -> str:
-    """Return a value by a form like ".2g", with more digits if rounding would put it on the other side of a limit."""
+    """Return a value formatted as, for example, ".2g", with more digits if rounding would move it to the other side of a limit."""
     start, _, kind = form.partition(".")
     for digits in range(int(kind[:-1]), 17):
         text = format(value, f"{start}.{digits}{kind[-1]}")
@@ -175,18 +175,18 @@ class Verdict:
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """The findings as texts, most consequential first."""
+        """Return the texts of the findings, starting with the most consequential."""
         return tuple(item.text for item in most_consequential_first(self.findings))
 
     @classmethod
     def of(cls, *findings: Finding) -> "Verdict":
-        """Return the verdict of findings, each once: bad if any is a fail, otherwise marginal if any is a warn, otherwise good."""
+        """Return the verdict from findings, each once: bad with any fail, otherwise marginal with any warn, otherwise good."""
         findings = tuple({item.text: item for item in findings}.values())
         levels = {item.level for item in findings}
         return cls(status="bad" if "fail" in levels else "marginal" if "warn" in levels else "good", findings=findings)
 
     def also(self, other: "Verdict") -> "Verdict":
-        """Return the combined verdict: the worse status, and the findings of both without repetition."""
+        """Return the combined verdict: the worse status, and the findings of both verdicts without repetition."""
         worse = max(self.status, other.status, key=("good", "marginal", "bad").index)
         texts = {item.text for item in self.findings}
         new_findings = (item for item in other.findings if item.text not in texts)

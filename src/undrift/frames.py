@@ -5,7 +5,7 @@
     a  segment of a body: x forward, y left, z up, upright
 
 ``R_bs`` maps a vector from s to b. ``q_nb`` is the quaternion from b to n, scalar first (w, x, y, z). A gyroscope measures
-the rate of b relative to n, in axes b. An accelerometer measures specific force: at rest the axis that points up reads +g.
+the rate of b relative to n, in axes b. An accelerometer measures specific force: at rest, the axis that points up reads +g.
 
 Strapdown integration updates q_nb from this rate. It is exact if the rate is constant on (k-1, k]::
 
@@ -33,7 +33,7 @@ def rotation(q: FloatArray) -> "Rotation":
 
 
 def quaternion_product(p: FloatArray, q: FloatArray) -> FloatArray:
-    """Return the Hamilton product p q, gaps (NaN) passing through. p (..., 4), q (..., 4) -> (..., 4)."""
+    """Return the Hamilton product p q. Gaps (NaN) remain gaps. p (..., 4), q (..., 4) -> (..., 4)."""
     (pw, px, py, pz), (qw, qx, qy, qz) = (
         [quaternion[..., k] for k in range(4)] for quaternion in map(np.asarray, (p, q))
     )
@@ -59,13 +59,13 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def rotate(q: FloatArray, v: FloatArray) -> FloatArray:
-    """Return vectors turned by unit quaternions, gaps (NaN) passing through. q (..., 4), v (..., 3) -> (..., 3)."""
+    """Return vectors turned by unit quaternions. Gaps (NaN) remain gaps. q (..., 4), v (..., 3) -> (..., 3)."""
     t = 2.0 * cross(q[..., 1:], v)
     return np.asarray(v + q[..., :1] * t + cross(q[..., 1:], t))
 
 
 def rotation_vector(q: FloatArray) -> FloatArray:
-    """Return the rotation vector of unit quaternions, gaps (NaN) passing through. q (..., 4) -> (..., 3) rad."""
+    """Return the rotation vectors of unit quaternions. Gaps (NaN) remain gaps. q (..., 4) -> (..., 3) rad."""
     w, v = q[..., :1], q[..., 1:]
     sine = np.linalg.norm(v, axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(sine, np.abs(w))
@@ -74,7 +74,7 @@ def rotation_vector(q: FloatArray) -> FloatArray:
 
 
 def quaternion_of(vector: FloatArray) -> FloatArray:
-    """Return the unit quaternion of rotation vectors, gaps (NaN) passing through. vector (..., 3) rad -> (..., 4)."""
+    """Return the unit quaternions of rotation vectors. Gaps (NaN) remain gaps. vector (..., 3) rad -> (..., 4)."""
     half = 0.5 * np.linalg.norm(vector, axis=-1, keepdims=True)
     return np.concatenate((np.cos(half), 0.5 * np.sinc(half / np.pi) * vector), axis=-1)
 
@@ -93,7 +93,7 @@ def integrate_strapdown(
     Parameters
     ----------
     gyro_b : array, shape (N, 3)
-        Corrected rate, rad/s, frame b, no gaps.
+        Corrected rate, rad/s, frame b, without gaps.
     time : array, shape (N,)
         s, strictly increasing.
     q_nb : array, shape (4,)

@@ -2,12 +2,12 @@
 
 Axes a are x forward, y left, z up, when the wearer stands upright. ``R_ab`` maps b to a. Its rows are forward, left and up, in b.
 
-``up``       the vertical in b while the wearer stands for longest
+``up``       the vertical in b during the longest stance of the wearer
 ``forward``  from walks between stances: the horizontal acceleration, integrated from rest to rest, is the velocity, and its mean
              points forward. Or from bows of the trunk: the vertical in b leaves ``up`` towards the back.
 
-The scatter of the pieces (walks, bows) determines the uncertainty of their mean. An error that all pieces share, because human
-movement varies, is added (``STANCE``, ``SHARED``).
+The scatter of the pieces (walks, bows) determines the uncertainty of their mean. A common error of all pieces, due to the variation
+of human movement, is added (``STANCE``, ``SHARED``).
 """
 
 from collections.abc import Sequence
@@ -34,29 +34,29 @@ Span = tuple[float, float]
 
 # standard uncertainty of upright about x and y, rad: sway of older people in quiet stance
 STANCE = (0.6 * DEG, 0.9 * DEG)
-# usual scatter of the pieces, rad, of simulated people, rounded up, error that all pieces share, rad, and fewest pieces
+# usual scatter of the pieces (simulated people, rounded up), rad, common error of all pieces, rad, and smallest number of pieces
 SCATTER = {"walk": 1.5 * DEG, "bow": 3.0 * DEG}
 SHARED = {"walk": 0.7 * DEG, "bow": 2.0 * DEG}
 FEWEST = {"walk": 1, "bow": 2}
-WARN = 5.0 * DEG  # uncertainty of the mounting
-TURNED = 45.0 * DEG  # against the mounting before
-OFFSET = 0.5 * DEG  # rad/s, that gyroscopes have before the filter
-STANCE_S, EDGE_S = 3.0, 0.3  # shortest stance, and its ends, in which the body still moves, s
+WARN = 5.0 * DEG  # uncertainty of the mounting above which a finding is reported
+TURNED = 45.0 * DEG  # limit of the difference from the previous mounting
+OFFSET = 0.5 * DEG  # offset of the gyroscopes before the filter, rad/s
+STANCE_S, EDGE_S = 3.0, 0.3  # shortest stance, and its parts at both ends in which the body still moves, s
 WALK_S, START_S = 15.0, 1.2  # longest walk that is integrated, and its first and last part, which may turn, s
-BAND_HZ, SLOW_HZ = (0.7, 5.0), 0.5  # frequencies of steps, and of their size
+BAND_HZ, SLOW_HZ = (0.7, 5.0), 0.5  # frequency limits of steps, and of their amplitude
 QUIET, STEPS = 0.3, 0.6  # rms of the vertical acceleration over two seconds in stance and in steps, m/s2
 SWAY, TURN = 4.0 * DEG, 20.0 * DEG  # rate of the vertical in stance, and about it in a straight walk, rad/s
 LEAN, UPRIGHT = 10.0 * DEG, 20.0 * DEG  # smallest lean of a bow, and largest tilt of an upright stance
-CLEAR = 4.0  # a direction in its uncertainties
+CLEAR = 4.0  # smallest length of a clear direction, in its uncertainties
 LEAST_HZ, MOST_HZ = 15.0, 5000.0  # limits of the sample rate (steps come twice a second)
-USUAL_PIECES = 4  # number of pieces that the usual scatter counts for
+USUAL_PIECES = 4  # weight of the usual scatter, as a number of pieces
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MountFit:
-    """Mounting of a device, as far as the recordings determine it."""
+    """Mounting of a device, if the recordings determine it."""
 
-    mounting: BodyMounting | None  # None if an axis is not determined
+    mounting: BodyMounting | None  # mounting, or None if an axis is not determined
     verdict: Verdict
 
 
@@ -65,9 +65,9 @@ class _Track:
     """Stances and steps of a recording, N samples in b."""
 
     record: Record  # in SI units
-    up: FloatArray  # (N, 3), the vertical
+    up: FloatArray  # (N, 3), vertical direction
     quiet: BoolArray  # (N,)
-    walk: BoolArray  # (N,), straight
+    walk: BoolArray  # (N,), True in straight walks
 
 
 RECORD_AGAIN = (
@@ -77,9 +77,9 @@ RECORD_AGAIN = (
 
 
 def find_mounting(records: Sequence[Record], place: Worn, movement: Movement = "walk") -> MountFit:
-    """Determine the mounting of a device from recordings without a change of mounting."""
+    """Determine the mounting of a device from recordings between which it was not remounted."""
     if movement == "bow" and place != "lower-back":
-        raise InputError(f"mount: a bow does not move the {place} as it moves the trunk. Choose walk.")
+        raise InputError(f"mount: in a bow, the {place} does not move like the trunk. Choose walk.")
     tracks = [_track(record) for record in records]
     stance = _up(tracks)
     if stance is None:
@@ -104,7 +104,7 @@ def find_mounting(records: Sequence[Record], place: Worn, movement: Movement = "
         "mount.look",
         "info",
         f"Side {ahead} of the device points forward and side {upward} up.",
-        "Look at the device: if they do not, accelerometer columns are exchanged or have the opposite sign.",
+        "Check this on the device: otherwise, accelerometer columns are exchanged or have the opposite sign.",
     )
     size = told_apart(worn.uncertainty / DEG, ".1f", WARN / DEG)
     uncertain = finding(
@@ -120,7 +120,7 @@ def nearest_side(direction: FloatArray) -> tuple[str, float]:
 
 
 def statement_of(worn: BodyMounting) -> str:
-    """Return in a sentence which sides of the device point forward and up."""
+    """Return a sentence about the sides of the device that point forward and up."""
     (forward, ahead), _, (up, upright) = map(nearest_side, worn.matrix)
     return (
         f"{worn.place.capitalize().replace('-', ' ')}: side {forward} of the device points forward ({ahead / DEG:.1f} deg off) "
@@ -129,16 +129,16 @@ def statement_of(worn: BodyMounting) -> str:
 
 
 def check_turned(worn: BodyMounting, before: BodyMounting | None) -> tuple[Finding, ...]:
-    """Return a finding if a device is turned against its mounting before, or against +x forward and +z up."""
+    """Return a finding if a device is turned relative to its previous mounting, or relative to +x forward and +z up."""
     turn = worn.matrix if before is None else worn.matrix @ before.matrix.T
     angle = np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0))
     if angle < TURNED:
         return ()
     ways = ("upside down", "left and right swapped", "front and back swapped")
     how = ", ".join(way for way, cosine in zip(ways, np.diag(turn)[::-1], strict=True) if cosine < -0.7) or "turned"
-    against = "+x forward and +z up" if before is None else "the mounting before"
+    against = "+x forward and +z up" if before is None else "the previous mounting"
     sentence = f"The device is {how}: {angle / DEG:.0f} deg off {against}."
-    action = "Look at the device: if it was not meant so, turn it and record again."
+    action = "If this is not intended, turn the device and record again."
     return (finding("mount.look", "warn" if before else "info", sentence, action),)
 
 
@@ -159,7 +159,7 @@ def _track(record: Record) -> _Track:
         )
     check_triads(record)
     if record.accel is None or np.isnan(record.accel).any():
-        raise InputError("mount: accelerometer readings without gaps are needed. Map them, or take another stretch.")
+        raise InputError("mount: accelerometer readings without gaps are needed. Map them, or choose another stretch.")
     rate, gyro = record.sample_rate_hz, np.asarray(record.gyro)
     q_nb, _ = filtered(record, gyro, OFFSET, magnetometer=False)
     up = rotate(quaternion_conjugate(q_nb), np.array([0.0, 0.0, 1.0]))
@@ -174,7 +174,7 @@ def _track(record: Record) -> _Track:
 
 
 def _up(tracks: Sequence[_Track]) -> tuple[FloatArray, Span, str] | None:
-    """Return the vertical of the upright segment in b, the variances about its x and y, and its stance, or None without one."""
+    """Return the vertical of the upright segment in b, its variances about x and y, and the stance, or None without a stance."""
     steps = np.concatenate([track.up[track.walk] for track in tracks])
     walked_s = sum(float(track.walk.sum()) / track.record.sample_rate_hz for track in tracks)
     mean = steps.mean(axis=0) / np.linalg.norm(steps.mean(axis=0)) if walked_s > STANCE_S else None
@@ -191,7 +191,7 @@ def _up(tracks: Sequence[_Track]) -> tuple[FloatArray, Span, str] | None:
         return None
     length, start, up, variance = max(upright, key=lambda stretch: stretch[0])
     x, y = (variance + sway**2 for sway in STANCE)
-    return up, (x, y), f"up by standing from {start:.1f} to {start + length:.1f} s"
+    return up, (x, y), f"up from standing at {start:.1f} to {start + length:.1f} s"
 
 
 def _pieces(tracks: Sequence[_Track], up: FloatArray, movement: Movement) -> FloatArray:
@@ -229,7 +229,7 @@ def _bouts(track: _Track) -> list[FloatArray]:
     rests = [(int(a) + edge, int(b) - edge) for a, b in runs(track.quiet) if b - a > rate]
     if not rests:
         return []
-    # gravity at both ends of the rests measures the sway, and the gyroscopes' readings beyond it are their offset
+    # gravity at both ends of a rest determines the sway, and the remaining readings of the gyroscopes are their offset
     ups = {k: force[k - edge : k + edge].mean(axis=0) for rest in rests for k in rest}
     size = float(np.mean([np.linalg.norm(up) for up in ups.values()]))
     sway = np.sum([np.cross(ups[b], ups[a]) for a, b in rests], axis=0) / size**2
@@ -242,6 +242,6 @@ def _bouts(track: _Track) -> list[FloatArray]:
         rows = slice(first, last)
         q = integrate_strapdown(gyro[rows], time[rows], shortest_rotation_up(ups[first]))
         velocity = np.cumsum(rotate(q, force[rows]) - [0.0, 0.0, size], axis=0) / rate
-        velocity -= np.linspace(0.0, 1.0, last - first)[:, None] * velocity[-1]  # the velocity ends at rest
+        velocity -= np.linspace(0.0, 1.0, last - first)[:, None] * velocity[-1]  # the velocity is zero at the end
         velocities.append(rotate(quaternion_conjugate(q), velocity * [1.0, 1.0, 0.0]).mean(axis=0))
     return velocities

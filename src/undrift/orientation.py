@@ -7,7 +7,7 @@ shortest rotation that turns f to the z axis of n is, for f of length one::
 
 To first order, its error is the horizontal part of the error of f over |f|, with the sources in correction/rest.py. It has two
 components. 95 % of errors are therefore within a circle of 1.73 (equal components) to 1.96 (one component) standard uncertainties.
-Strapdown (frames.py) starts there. Angles of q_nb = (w, x, y, z)::
+Strapdown (frames.py) starts from this orientation. Angles of q_nb = (w, x, y, z)::
 
     inclination = 2 acos sqrt(w^2 + z^2)         angle of the body's z axis from the vertical
     heading     = 2 atan(z / w)                  turn about the vertical
@@ -15,9 +15,9 @@ Strapdown (frames.py) starts there. Angles of q_nb = (w, x, y, z)::
 
 The pitch has no singularity until the vertical leaves the sagittal plane, where it is a gap (NaN).
 
-Strapdown drifts by the uncertainty of the offset times the time since the rest. A filter (VQF [1]_) gets the inclination from the
-accelerometers and tracks the offset, with that uncertainty as the prior of its bias. Its heading is 0 at the rest (6D), or is
-relative to magnetic east with a magnetometer (9D).
+Strapdown drifts by the uncertainty of the offset times the time since the rest. A filter (VQF [1]_) computes the inclination from
+the accelerometers and tracks the offset, with this uncertainty as the prior. Its heading is 0 at the rest (6D), or is relative to
+magnetic east with a magnetometer (9D).
 
 .. [1] D. Laidig, T. Seel, "VQF: Highly accurate IMU orientation estimation with bias estimation and magnetic disturbance
    rejection", Information Fusion 91, 187-204, 2023, and the package ``vqf``.
@@ -60,7 +60,7 @@ if TYPE_CHECKING:
 
 # ---- Initial tilt
 
-GRAVITY_WITHIN = 0.2  # relative to standard gravity (beyond it the readings are not specific force at rest in m/s2)
+GRAVITY_WITHIN = 0.2  # relative to standard gravity (otherwise, the readings are not specific force at rest in m/s2)
 NOT_CALIBRATED = "scatter only, without the unknown uncertainty of the accelerometer, typically 0.3 deg"
 
 
@@ -70,17 +70,17 @@ class Tilt:
 
     q_nb: Annotated[FloatArray, Shape(4)]  # b to n, w-x-y-z
     specific_force: Annotated[FloatArray, Shape(3)]  # mean over the still phase, m/s2, frame b
-    inclination_uncertainty: float  # Standard uncertainty of the direction of gravity, both level axes together, rad
+    inclination_uncertainty: float  # standard uncertainty of the direction of gravity, both level axes together, rad
     expanded_uncertainty: float  # 95 % quantile of the error of the direction, rad
     parts: tuple[tuple[str, float], ...]  # share of each source, rad, with a sum of squares equal to the total
-    basis: str  # "calibration", or why the accelerometers' own part is missing
+    basis: str  # "calibration", or the reason why the share of the accelerometers is missing
 
     def __post_init__(self) -> None:
         freeze(self)
 
     @property
     def statement(self) -> str:
-        """Uncertainty of the tilt in words."""
+        """Return the uncertainty of the tilt as text."""
         total_deg, most = (
             angle / RADIAN_PER_DEGREE for angle in (self.inclination_uncertainty, self.expanded_uncertainty)
         )
@@ -91,7 +91,7 @@ class Tilt:
 
 
 def initial_tilt(record: Record, still: Still) -> Tilt:
-    """Find the orientation of a device at rest, with heading 0."""
+    """Determine the orientation of a device at rest, with heading 0."""
     if record.accel is None:
         raise InputError("tilt: no accelerometer readings. Map the accelerometer columns.")
     force: FloatArray = record.accel[still.start : still.stop] * si_factor(record.accel_unit, "accel")
@@ -106,8 +106,7 @@ def initial_tilt(record: Record, still: Still) -> Tilt:
     if abs(length / STANDARD_GRAVITY - 1.0) > GRAVITY_WITHIN:
         raise InputError(
             f"tilt: expected a mean specific force within {GRAVITY_WITHIN:.0%} of gravity, got {length:.3g} m/s2. "
-            "Check the unit of the accelerometer, that no other quantity is mapped as one of its axes, and that the device "
-            "stood still.",
+            "Check the unit of the accelerometer, the mapping of its axes, and that the device was still.",
             length=length,
         )
     return _compute_tilt(record, mean, force_covariances(record, still, force))
@@ -140,7 +139,7 @@ def shortest_rotation_up(force: FloatArray) -> FloatArray:
     level = math.hypot(x, y)
     if z > -0.5:
         q = np.array([1.0 + z, y, -x, 0.0])
-    elif level > 0.0:  # near half a turn 1 + z cancels: multiply by (1 - z) / level, the direction stays
+    elif level > 0.0:  # near half a turn, 1 + z cancels: multiply by (1 - z) / level, which keeps the direction
         q = np.array([level, y / level * (1.0 - z), -x / level * (1.0 - z), 0.0])
     else:
         q = np.array([0.0, 1.0, 0.0, 0.0])
@@ -151,7 +150,7 @@ def shortest_rotation_up(force: FloatArray) -> FloatArray:
 
 
 def check_gaps(gyro_b: FloatArray, time: FloatArray, what: str) -> None:
-    """Refuse a rate (N, 3) with gaps, because the orientation after a gap is unknown."""
+    """Raise for a rate (N, 3) with gaps, because the orientation after a gap is unknown."""
     gap = np.asarray(~np.isfinite(gyro_b).all(axis=1))
     if gap.any():
         start, stop = runs(gap)[0]
@@ -165,20 +164,20 @@ def check_gaps(gyro_b: FloatArray, time: FloatArray, what: str) -> None:
 
 # ---- Angles
 
-IN_PLANE = np.sin(np.radians(5.0))  # shortest part of the vertical in the sagittal plane that still has a direction
+IN_PLANE = np.sin(np.radians(5.0))  # smallest component of the vertical in the sagittal plane
 
 
 def inclination_of(q_nb: FloatArray) -> FloatArray:
     """Return the angle between the body's z and the vertical, rad."""
     w, x, y, z = np.moveaxis(q_nb, -1, 0)
-    # The arc cosine loses half its digits near zero.
+    # The arc cosine loses half of its digits near zero.
     return np.asarray(2.0 * np.arctan2(np.hypot(x, y), np.hypot(w, z)))
 
 
 def heading_of(q_nb: FloatArray) -> FloatArray:
     """Return the turn about the vertical, rad."""
     w, _, _, z = np.moveaxis(q_nb, -1, 0)
-    flip = np.where(w < 0.0, -1.0, 1.0)  # q and -q are one orientation
+    flip = np.where(w < 0.0, -1.0, 1.0)  # q and -q are the same orientation
     return np.asarray(2.0 * np.arctan2(flip * z, flip * w))
 
 
@@ -186,8 +185,8 @@ def sagittal_pitch(q_nb: FloatArray, *, forward: Face = "+x", up: Face = "+z") -
     """Return the direction of gravity in the segment's sagittal plane, rad, positive for forward lean."""
     if forward not in FACES or up not in FACES or forward[1] == up[1]:
         raise InputError(
-            f"pitch: expected two different axes of {', '.join(FACES)}, got forward {forward} and up {up}. "
-            "Name the axes that point forward and up."
+            f"pitch: expected two different axes of {', '.join(FACES)}, got forward {forward} and up {up}. Give the axes that "
+            f"point forward and up."
         )
     vertical = rotate(quaternion_conjugate(q_nb), np.array([0.0, 0.0, 1.0]))
     forward_part, upward = (
@@ -196,7 +195,7 @@ def sagittal_pitch(q_nb: FloatArray, *, forward: Face = "+x", up: Face = "+z") -
     return np.where(np.hypot(forward_part, upward) > IN_PLANE, np.arctan2(-forward_part, upward), np.nan)
 
 
-FAR_UP_DEG = 60.0  # angle between the axis for up and the vertical at rest, beyond which the device is worn differently
+FAR_UP_DEG = 60.0  # angle between the axis for up and the vertical at rest above which the device is worn differently
 
 
 def check_pitch_axes(q_nb: FloatArray, rest: slice | BoolArray | None, forward: Face, up: Face) -> tuple[Finding, ...]:
@@ -230,10 +229,10 @@ def check_pitch_axes(q_nb: FloatArray, rest: slice | BoolArray | None, forward: 
 # ---- A whole record
 
 NORMAL_95 = 1.96  # 95 % of normal errors lie within 1.96 standard uncertainties
-LONGEST_HOLE_S = 0.1  # a person turns by 10 deg in it
+LONGEST_HOLE_S = 0.1  # time in which a person turns by 10 deg, s
 # During a rest, a standing person sways by 1 deg/s rms and by 0.5 deg from its first third to its last
 MOVING_RATE, TURNED = 5.0 * RADIAN_PER_DEGREE, 1.5 * RADIAN_PER_DEGREE
-WARN_DRIFT = 1.0 * RADIAN_PER_DEGREE  # strapdown drift that optics can measure on a trial of two minutes
+WARN_DRIFT = 1.0 * RADIAN_PER_DEGREE  # strapdown drift that optics can measure in a trial of two minutes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -243,7 +242,7 @@ class OrientSettings:
     # "rest" subtracts the mean rate of the still phase, including any true slow turn. "motion" also subtracts the offset that
     # gravity determines in motion, starting from that rest
     offset: Literal["none", "rest", "motion"] = "none"
-    method: Literal["strapdown", "vqf"] = "strapdown"  # vqf is a filter with accelerometers over the whole record
+    method: Literal["strapdown", "vqf"] = "strapdown"  # vqf: filter with accelerometers over the whole record
     # the filter also uses the magnetic field, and the axes of n are magnetic east, magnetic north and up
     magnetometer: bool = False
     # axes of the device that point forward and up on an upright segment, and define the pitch
@@ -260,24 +259,24 @@ class OrientSettings:
 class Orientation(Shown):
     """Orientation of the device case over time."""
 
-    time: Annotated[FloatArray, Shape("n")]  # s, the record's clock
+    time: Annotated[FloatArray, Shape("n")]  # time on the record's clock, s
     q_nb: Annotated[FloatArray, Shape("n", 4)]  # b to n, w-x-y-z
     inclination: Annotated[FloatArray, Shape("n")]  # angle of the body's z from the vertical, rad
     heading: Annotated[FloatArray, Shape("n")]  # turn about the vertical, rad
     pitch: Annotated[FloatArray, Shape("n")]  # direction of gravity in the sagittal plane, forward lean positive, rad
-    tilt: Tilt  # at the still phase, or at the first sample without one
+    tilt: Tilt  # tilt at the still phase or, without a still phase, at the first sample
     still: Still | None  # still phase of the initial tilt, or None if the device never rests
     offset: Annotated[FloatArray, Shape(3)]  # rate that was subtracted at that phase, rad/s
-    offset_uncertainty: float  # standard, all axes together, rad/s
-    # 95 % limit of the pitch error, rad. None for a filter, and if the accelerometers have no stated uncertainty.
+    offset_uncertainty: float  # standard uncertainty of the offset, all axes together, rad/s
+    # 95 % limit of the pitch error, rad. None for a filter, or if the uncertainty of the accelerometers is unknown.
     pitch_limit: Annotated[FloatArray | None, Shape("n")] = None
-    findings: tuple[Finding, ...] = ()  # expected drift of strapdown, and unsuitable axes of the pitch
+    findings: tuple[Finding, ...] = ()  # findings about expected strapdown drift and unsuitable axes of the pitch
 
     def __post_init__(self) -> None:
         freeze(self)
 
     def facts(self) -> dict[str, str]:
-        """Return the rows of the value's table: what, and its value with unit."""
+        """Return the rows of the table of values: name, and value with unit."""
         angles = (("inclination", self.inclination), ("pitch", self.pitch), ("heading", self.heading))
         spans = {
             name: f"{np.nanmin(angle) / RADIAN_PER_DEGREE:.1f} to {np.nanmax(angle) / RADIAN_PER_DEGREE:.1f} deg"
@@ -288,7 +287,7 @@ class Orientation(Shown):
 
     @property
     def rotation(self) -> "Rotation":
-        """The orientation as a scipy Rotation of N, body to level frame."""
+        """Return the orientation as a scipy Rotation of length N, from body to level frame."""
         return rotation(self.q_nb)
 
     def to_frame(self) -> "pd.DataFrame":
@@ -308,18 +307,19 @@ def orient(
     Parameters
     ----------
     record : Record
-        Rate and specific force in physical units. For a corrected record the uncertainty of the tilt includes the calibration.
+        Rate and specific force in physical units. For a corrected record, the uncertainty of the tilt includes the calibration.
     still : Still, optional
-        A still phase, by default the first detected one. Without any, gravity in motion determines tilt and offset.
+        A still phase, by default the first detected phase. Without a still phase, gravity in motion determines tilt and offset.
     settings : OrientSettings
         Method, offset and axes.
     gyro_model : TriadModel, optional
-        Model of the gyroscopes. Its covariance then counts in the uncertainty of the offset.
+        Model of the gyroscopes. Its covariance is then included in the uncertainty of the offset.
 
     Raises
     ------
     InputError
-        No gyroscope, no still phase (in less than 20 s, or for the offset "rest"), gaps, holes in time, a dead axis or counts.
+        There is no gyroscope, no still phase (in less than 20 s, or for the offset "rest"), or there are gaps, holes in time, a
+        dead axis or counts.
     Implausible
         Columns, units or the sample rate clearly differ from their declaration.
 
@@ -417,7 +417,7 @@ def _segment_orientation(q_nb: FloatArray, mounting: BodyMounting, anchor: int, 
 
 
 def _rests(record: Record, still: Still | None, offset: str) -> tuple[Still, ...]:
-    """Return the given still phase, or the detected still phases, or none in motion."""
+    """Return the given still phase, or the detected still phases, or no phases in motion."""
     if still is not None:
         return (still,)
     try:
@@ -465,7 +465,7 @@ def _check_rest(record: Record, still: Still) -> tuple[Finding, ...]:
             "warn",
             f"The device is not at rest from {start_s:.6g} to {stop_s:.6g} s: its rates vary by "
             f"{spread / RADIAN_PER_DEGREE:.3g} deg/s rms, and gravity turns by {tilt / RADIAN_PER_DEGREE:.2g} deg.",
-            "Name a stretch in which the device is at rest, or record a rest.",
+            "Give a stretch in which the device is at rest, or record a rest.",
         ),
     )
 
@@ -510,18 +510,18 @@ def filtered(
         mag_ut = np.asarray(record.mag_ut)
         if not np.isfinite(mag_ut).all(axis=1).any():
             raise InputError("orient: the magnetometer readings are all gaps. Omit the magnetometer.")
-        mag_ut = bridged(record.time, mag_ut)  # its sample rate may be lower
+        mag_ut = bridged(record.time, mag_ut)  # the magnetometer's sample rate may be lower
     q, disturbed = filtered_attitude(record.time, gyro, record.accel, mag_ut, offset_sigma=uncertainty)
     if not magnetometer:
         return q, ()
-    sentence = "Heading is relative to magnetic east: x of the level frame points there, and y to magnetic north."
+    sentence = "Heading is relative to magnetic east: x of the level frame points to it, and y to magnetic north."
     sentence += f" The field was disturbed for {100.0 * disturbed:.2g} % of the time."
     north = finding("orient.north", "info", sentence)
     return q, (north, magnetometer_not_calibrated()) if record.state == "raw" else (north,)
 
 
 def magnetometer_not_calibrated() -> Finding:
-    """Return the finding that readings of the magnetometer contain hard and soft iron."""
+    """Return a finding about the hard and soft iron of an uncalibrated magnetometer."""
     return finding(
         "orient.field",
         "warn",
@@ -537,7 +537,7 @@ def _level_at(q_nb: FloatArray, anchor: int, wanted: FloatArray) -> FloatArray:
 
 
 def _check_field(record: Record, settings: OrientSettings) -> None:
-    """Raise if a magnetometer is requested that the record lacks, or that the settings cannot use."""
+    """Raise if the magnetometer is requested, but the record has none or the settings cannot use it."""
     if settings.magnetometer and (settings.method != "vqf" or record.mag_ut is None):
         got = "no readings" if record.mag_ut is None else settings.method
         raise InputError(
@@ -546,7 +546,7 @@ def _check_field(record: Record, settings: OrientSettings) -> None:
         )
 
 
-_MOST_RATE = 4000.0 * RADIAN_PER_DEGREE  # rad/s: the widest range of gyroscopes that are worn
+_MOST_RATE = 4000.0 * RADIAN_PER_DEGREE  # rad/s, widest range of wearable gyroscopes
 
 
 def check_whole(record: Record) -> None:
@@ -567,20 +567,20 @@ def check_whole(record: Record) -> None:
     fastest = float(np.abs(gyro).max())
     if fastest > _MOST_RATE:
         raise InputError(
-            f"orient: expected angular rates up to {_MOST_RATE / RADIAN_PER_DEGREE:g} deg/s, the most that gyroscopes read, got "
+            f"orient: expected angular rates up to {_MOST_RATE / RADIAN_PER_DEGREE:g} deg/s, the largest range of gyroscopes, got "
             f"{fastest / RADIAN_PER_DEGREE:.4g} deg/s. Check the unit of the gyroscope.",
             rate=fastest,
         )
     dead = [axis for axis, moves in zip("xyz", np.ptp(gyro, axis=0) > 0.0, strict=True) if not moves]
     if dead and len(dead) < 3:
         raise InputError(
-            f"orient: {', '.join(dead)} of the gyroscopes kept one value throughout. Check the device and its columns."
+            f"orient: {', '.join(dead)} of the gyroscopes has a constant value. Check the device and its columns."
         )
 
 
 def _both_ways(gyro: FloatArray, time: FloatArray, q_nb: FloatArray, anchor: int) -> FloatArray:
     q = np.empty((len(time), 4))
     q[anchor:] = integrate_strapdown(gyro[anchor:], time[anchor:], q_nb)
-    undone = np.vstack((np.zeros(3), -gyro[anchor:0:-1]))  # the step that led to sample k, backwards, leads to k - 1
+    undone = np.vstack((np.zeros(3), -gyro[anchor:0:-1]))  # the step to sample k, reversed, leads to sample k - 1
     q[: anchor + 1] = integrate_strapdown(undone, -time[anchor::-1], q_nb)[::-1]
     return q

@@ -1,6 +1,6 @@
 """Registries: plain tables from a name to the location of an object, "package.module:object", which is imported on demand.
 
-Another package adds a row with an entry point, without a change here::
+Another package adds a row with an entry point, without any change to undrift::
 
     [project.entry-points."undrift.rigs"]
     lathe = "my_package.lathe:open_from"
@@ -26,7 +26,7 @@ def names_in(table: Mapping[str, object], group: str) -> tuple[str, ...]:
 
 
 def load_named(name: str, table: Mapping[str, str], group: str, kind: type = object) -> Any:
-    """Import and return the object with the given name and type. KeyError if neither table nor entry points contain the name."""
+    """Import and return the object with the given name and type. Raise KeyError if table and entry points lack the name."""
     place = table.get(name) or {point.name: point.value for point in entry_points(group=group)}[name]
     module, _, attribute = place.partition(":")
     try:
@@ -42,7 +42,7 @@ def load_named(name: str, table: Mapping[str, str], group: str, kind: type = obj
 
 
 def split_address(text: str, what: str, kinds: tuple[str, ...], advice: str) -> tuple[str, str, Options]:
-    """Split ``kind:place?name=value&name=value``. The kind must be one of several."""
+    """Split ``kind:place?name=value&name=value``. The kind must be one of those accepted."""
     kind, colon, rest = text.partition(":")
     if not colon or kind not in kinds:
         listing = ", ".join(f"{name}:..." for name in kinds)

@@ -3,10 +3,10 @@
     mount (operator)  ->  at each temperature: soak (chamber)  ->  rest on the face  ->  rest, dwells, rest (a block of rates)
 
 Mounting disturbs a device more than a chamber does, so the programme has as few mountings as possible. Each face is mounted once,
-for all temperatures. The rates about an axis are read while its + side is up. Soaks take most of the time. Faces are read at every
+for all temperatures. Rates about an axis are recorded with its + side up. Soaks take most of the time. Faces are read at every
 set-point, or in separate mountings before the chamber is used, as in the study. A programme can be made without a rig.
 
-    grid     paper (omega_m, omega_M], inclusive [omega_m, omega_M], both ways on three axes: N = 102 or 108 in sit-to-stand
+    grid     paper (omega_m, omega_M], inclusive [omega_m, omega_M], both directions on three axes: N = 102 or 108 in sit-to-stand
     settle   ln(1000) / (zeta omega_c), omega_c = 2 pi f_c, at least 0.3 s: a second-order low-pass is within 0.1 % of a step
 
 Keys of protocol.toml: docs/rig.md.
@@ -47,11 +47,11 @@ class ProtocolTable(FileTable):
     name: str = ""  # free text
     # bandwidth of the device's low-pass, Hz, which determines the settling time
     cutoff_hz: Annotated[float, Ge(1e-3)] = 11.1
-    damping: Annotated[float, Ge(1e-3)] = DAMPING  # damping of that low-pass, 1
+    damping: Annotated[float, Ge(1e-3)] = DAMPING  # damping of the low-pass, 1
 
 
 class FacesTable(FileTable):
-    """Faces. Without this table the accelerometers are omitted."""
+    """Faces. Without this table, the accelerometers are omitted."""
 
     order: tuple[Face, ...] = FACES  # sensor axes that point up, in order
     seconds: NonNegativeFloat = 6.0  # rest on each face, s
@@ -78,12 +78,12 @@ class TurnsTable(FileTable):
 
     # angle of each turn, deg (the angle that the operator reports is recorded)
     angle_deg: float = 360.0
-    axes: SomeAxes = AXES  # case axes of those turns, in order
-    rest_s: Annotated[float, Ge(0.5)] = 3.0  # rest before and after each of those turns, s
+    axes: SomeAxes = AXES  # case axes of these turns, in order
+    rest_s: Annotated[float, Ge(0.5)] = 3.0  # rest before and after each of these turns, s
 
 
 class TemperaturesTable(FileTable):
-    """Temperatures. Without this table the chamber stays at room temperature."""
+    """Temperatures. Without this table, the chamber stays at room temperature."""
 
     set_points_c: Annotated[tuple[float, ...], MinLen(1)]  # set-points of the chamber in increasing order, degC
     soak_c_per_min: Annotated[float, Ge(1e-6)] = 0.1  # slope below which a set-point counts as reached, K/min
@@ -107,14 +107,14 @@ class Protocol(FileTable):
         if self.rates is not None:
             rate_grid(self.rates.turn_rate_min_dps, self.rates.turn_rate_max_dps, self.rates.turn_rate_step_dps)
         if self.turns is not None and self.turns.angle_deg == 0.0:
-            raise InputError("protocol: the angle of a turn must not be 0. Enter for example 360.")
+            raise InputError("protocol: the angle of a turn must not be 0. Enter 360, for example.")
         if any(b <= a for a, b in pairwise(self.temperatures_c)):
             raise InputError("protocol: temperatures must increase. Sort them and list each once.")
         return self
 
     @property
     def name(self) -> str:
-        """Free text that names the protocol."""
+        """Return the free text that names the protocol."""
         return self.protocol.name
 
     @property
@@ -166,7 +166,7 @@ def read_protocol(path: str | Path) -> Protocol:
 
 
 def write_protocol(protocol: Protocol, path: str | Path) -> None:
-    """Write a protocol file. It reads back unchanged."""
+    """Write a protocol file. It is read back without loss."""
     write_whole(Path(path), toml_text(tree_of(protocol)))
 
 
@@ -195,7 +195,7 @@ class ProgrammeSettings:
     mount_s: float = 30.0  # duration of a mounting, s
     room_c: float = 25.0  # initial temperature of the chamber, degC
     heating_c_per_min: float = 2.0  # slope of the chamber, K/min
-    # settling time of the air (160 s in the simulated chamber) plus the time that the temperature must be steady, s
+    # settling time of the air (160 s in the simulated chamber) plus the time for which the temperature must be steady, s
     settle_s: float = 160.0 + 300.0
 
 
@@ -313,7 +313,7 @@ def programme_of(protocol: Protocol, settings: ProgrammeSettings = ProgrammeSett
     )
 
 
-# set-point, degC, True if the face is read there, and True if the device is turned there
+# set-point, degC, True if the face is recorded there, and True if the device is turned there
 Visit: TypeAlias = tuple[float | None, bool, bool]
 
 

@@ -1,11 +1,11 @@
-"""Rates of a table that undrift does not drive, from the log of its own controller.
+"""Rates of a table that undrift does not drive, from the log of its controller.
 
 The log contains time and rate, or time and angle, on its own clock. A time t of the log is, on the clock of the recording::
 
     t + lag + skew (t - tm)          tm: middle of the aligned times
 
 Rates and readings are correlated at every shift, and the lags of parts of the log give a straight line (``sync.lag_line``). Steady
-stretches of the log become dwells. The log gives their rate. The readings of a dwell exclude the settling and three times the
+stretches of the log become dwells, with the rate in the log. The readings of a dwell exclude the settling and three times the
 uncertainty of the lag.
 """
 
@@ -23,20 +23,20 @@ from undrift.record import Record, Turn
 from undrift.sync import LONGEST_STEP, LagLine, PoseRates, coarse_lag, lag_line
 from undrift.units import RADIAN_PER_DEGREE
 
-TIMES = {"time_s": 1.0, "time_ms": 1e-3, "time_us": 1e-6}  # column -> factor to s
+TIMES = {"time_s": 1.0, "time_ms": 1e-3, "time_us": 1e-6}  # factor to s by column
 RATES = {"turn_rate_dps": RADIAN_PER_DEGREE, "turn_rate_rad_s": 1.0, "turn_rate_rpm": np.pi / 30.0}  # factor to rad/s
 ANGLES = {"angle_deg": RADIAN_PER_DEGREE, "angle_rad": 1.0, "angle_turns": 2.0 * np.pi}  # factor to rad
 MIN_ROWS = 30
 ROUNDING = 1e-9  # relative error of a number in text
-SETTLE_S = 0.5  # omitted at both ends of a dwell, while the table and the device's filter settle
+SETTLE_S = 0.5  # time omitted at both ends of a dwell, in which the table and the device's filter settle
 LEAST_S = 1.0  # shortest remaining dwell
-RAMP_S = 3.0  # before and after a dwell: the rate changes in it
-STEADY = 0.02  # largest departure of a steady rate from its median, relative
-LEAST_RATE = 0.05 * RADIAN_PER_DEGREE  # below it the table rests, rad/s
-LARGEST_UNCERTAINTY = 0.01  # relative, of a rate (a dwell with a larger uncertainty is omitted)
+RAMP_S = 3.0  # time before and after a dwell in which the rate changes
+STEADY = 0.02  # largest relative departure of a steady rate from its median
+LEAST_RATE = 0.05 * RADIAN_PER_DEGREE  # rate below which the table is at rest, rad/s
+LARGEST_UNCERTAINTY = 0.01  # largest relative uncertainty of a rate (a dwell with a larger uncertainty is omitted)
 PARTS, PART_S = 12, 30.0  # largest number of parts of the log and their shortest length, each with a lag
 FLOOR_S, JUMP_S = 1e-3, 0.3  # uncertainty of a lag on a ramp, and deviation from the line if a clock jumped
-UNKNOWN_SKEW = 1e-4  # relative, of two quartz clocks that a single part cannot compare
+UNKNOWN_SKEW = 1e-4  # relative drift of two quartz clocks that a single part cannot compare
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -44,8 +44,8 @@ class RateLog:
     """The log of a table's controller."""
 
     name: str
-    time: FloatArray  # (M,), controller s
-    angle: FloatArray  # (M,), rad, the integral of the rate if the log has rates
+    time: FloatArray  # (M,), time on the controller's clock, s
+    angle: FloatArray  # (M,), angle, rad (the integral of the rate if the log contains rates)
     resolution: float  # resolution of an angle, rad, or of a rate, rad/s
     has_angle: bool
 
@@ -55,11 +55,11 @@ class LoggedTurn:
     """A dwell of the log on the recording."""
 
     turn: Turn
-    uncertainty: float  # standard, of the rate, rad/s
+    uncertainty: float  # standard uncertainty of the rate, rad/s
 
 
 def read_rate_log(path: str | Path) -> RateLog:
-    """Read a log with a header, a column of TIMES, and one of RATES or ANGLES, separated by comma, semicolon or tab."""
+    """Read a log with a header, a column in TIMES, and a column in RATES or ANGLES, separated by comma, semicolon or tab."""
     text, values = sniff(path), RATES | ANGLES
     times, rates = ([name for name in text.names if name.strip() in table] for table in (TIMES, values))
     if len(times) != 1 or len(rates) != 1:
@@ -90,11 +90,11 @@ def read_rate_log(path: str | Path) -> RateLog:
 def align_clocks(log: RateLog, record: Record) -> LagLine:
     """Determine the lag of the recording behind the log, as a line over the time of the log."""
     if record.gyro is None:
-        raise InputError(f"{log.name}: the recording has no gyroscope to align the log by. Map its columns.")
+        raise InputError(f"{log.name}: the recording has no gyroscope to align the log with. Map its columns.")
     step = np.diff(log.time)
     valid = step <= LONGEST_STEP * np.median(step)
     rate = np.where(valid, np.diff(log.angle) / step, 0.0)[:, None]
-    shift = float(record.time[0] - log.time[0])  # first samples together, then every shift
+    shift = float(record.time[0] - log.time[0])  # first with the first samples aligned, then at every shift
     rates = PoseRates(start=log.time[:-1] + shift, stop=log.time[1:] + shift, rate=rate, valid=valid)
     initial_lag = coarse_lag(record.time, record.gyro, rates, float(max(np.ptp(record.time), np.ptp(log.time))))
     rates = rates.part((rates.start + initial_lag > record.time[0]) & (rates.stop + initial_lag < record.time[-1]))
@@ -161,7 +161,7 @@ def steady_stretches(log: RateLog) -> list[tuple[float, float]]:
 
 
 def _achieved(log: RateLog, start: float, stop: float) -> tuple[float, float]:
-    """Return the rate of a dwell and its standard uncertainty: a line through the angles, and the steps of their resolution."""
+    """Return the rate of a dwell, from a line through the angles, and its standard uncertainty, including their resolution."""
     rows = slice(*np.searchsorted(log.time, (start + SETTLE_S, stop - SETTLE_S)))
     t, phi = log.time[rows], log.angle[rows]
     (slope, _), covariance = np.polyfit(t - t.mean(), phi - phi.mean(), 1, cov=True)

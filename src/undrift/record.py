@@ -1,7 +1,7 @@
-"""Values of a recording. Record: readings of a device. Reference: poses from optics. Session: recordings with labels.
+"""Values of a recording: Record (readings of a device), Reference (poses from optics) and Session (recordings with labels).
 
-A Record contains the readings in the unit of the device, and the name of the unit. NaN always means a gap. Time strictly
-increases. This is checked here, once. There is no default sample rate.
+A Record contains the readings in the unit of the device, and the name of the unit. NaN always means a gap. Time strictly increases,
+which is checked here, once. There is no default sample rate.
 
 Ranges are sample numbers, half-open [start, stop). A face is named after the sensor axis that points up and reads +g.
 """
@@ -40,8 +40,8 @@ class ForceUncertainty:
     matrix_temp_c: Annotated[FloatArray, Shape(2)]
     # standard deviation per kelvin outside this range: offset (m/s2), scale (relative)
     per_k: Annotated[FloatArray, Shape(2)]
-    step: Annotated[FloatArray, Shape(3)]  # code step, m/s2, 0 if unknown
-    calibrated: str = ""  # time of the calibration, ISO 8601, UTC, "" if unknown
+    step: Annotated[FloatArray, Shape(3)]  # code step, m/s2, or 0 if unknown
+    calibrated: str = ""  # time of the calibration, ISO 8601, UTC, or "" if unknown
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -136,8 +136,8 @@ class Record(Shown):
         """Create a raw record in sensor axes from arrays.
 
         Readings are (N, 3) in ``gyro_unit`` (rad/s, dps, count or v) and ``accel_unit`` (m/s2, g, mg, count or v). ``temp_c`` is
-        (N,), degC. Give ``time`` (N,), s, or the ``sample_rate_hz`` of an even clock. Units and clock are never assumed:
-        InputError is raised if one is missing.
+        (N,), degC. Give ``time`` (N,), s, or the ``sample_rate_hz`` of an even clock. Units and clock are never assumed: InputError
+        is raised if either is missing.
 
         Examples
         --------
@@ -188,7 +188,7 @@ class Record(Shown):
         return frame_of(self)
 
     def facts(self) -> dict[str, str]:
-        """Return the rows of the value's table: what, and its value with unit."""
+        """Return the rows of the table of values: name, and value with unit."""
         triads = (("gyroscope", self.gyro, self.gyro_unit), ("accelerometer", self.accel, self.accel_unit))
         temp, span = self.temp_c, ""
         if temp is not None and not np.isnan(temp).all():
@@ -223,11 +223,11 @@ class Record(Shown):
         return record
 
     def in_si(self) -> "Record":
-        """Return the record in rad/s and m/s2. InputError if its readings are counts or volts."""
+        """Return the record in rad/s and m/s2. Raise InputError if its readings are counts or volts."""
         return self.in_units("rad/s", "m/s2")
 
     def in_units(self, gyro_unit: str, accel_unit: str) -> "Record":
-        """Return the record in other physical units. InputError if only one of the old and new unit is physical."""
+        """Return the record in other physical units. Raise InputError if only the old or only the new unit is physical."""
         changes = dict[str, Any]()
         triads: tuple[tuple[str, str, Quantity], ...] = (("gyro", gyro_unit, "rate"), ("accel", accel_unit, "accel"))
         for name, unit, quantity in triads:
@@ -316,7 +316,7 @@ def check_time(time: FloatArray) -> None:
         row = int(np.flatnonzero(steps <= 0.0)[0]) + 1
         raise InputError(
             f"time: expected strictly increasing seconds, got {int((steps <= 0).sum())} steps that go back or repeat, first in "
-            f"row {row} ({time[row - 1]:.6g} s then {time[row]:.6g} s). Repair the time if you may drop those rows.",
+            f"row {row} ({time[row - 1]:.6g} s then {time[row]:.6g} s). Repair the time if these rows can be dropped.",
             row=row,
         )
 
@@ -427,7 +427,7 @@ class Turn:
 class FileMap:
     """Column map for the files of a device, with the keys described in docs/maps.md."""
 
-    text: str  # one JSON object
+    text: str  # text of one JSON object
 
 
 def _check_settings(settings: "TemperatureSensitivity | RateTable", most: float, **limits: float) -> None:
@@ -453,7 +453,7 @@ class TemperatureSensitivity:
     accel_scale_percent_per_k: float = 0.02  # change of the accelerometer scale factor, %/K
     # assumed temperature change, K, if neither a thermometer nor rests in deg/s can determine it
     unrecorded_span_k: float = 1.0
-    # lag of the thermometer behind the sensors, s: assumed 0 on the same die, 80 for an LM335 in still air
+    # lag of the thermometer behind the sensors, s: assumed to be 0 on the same die, and 80 for an LM335 in still air
     thermometer_lag_s: float = 0.0
     span_limit_k: float = 2.0  # temperature change within a session above which a finding is reported, K
 
@@ -464,7 +464,7 @@ class TemperatureSensitivity:
 @stored()
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RateTable:
-    """Standard uncertainties of a rate table and of the mounting on it. An axis that gravity determines is measured instead."""
+    """Standard uncertainties of a rate table and of the mounting on it. If gravity determines an axis, its measurement is used."""
 
     table_level_deg: float = 0.1  # tilt of the table axis from the vertical, about each horizontal axis, deg
     mount_tilt_deg: float = 0.1  # tilt of the device from the table axis, about each perpendicular axis, deg

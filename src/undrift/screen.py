@@ -1,6 +1,6 @@
-"""What a long command shows while it works: its progress, and questions to a person.
+"""Output of a long command while it works: its progress, and questions to a person.
 
-The command line, the browser page or a script says where (``showing_on``). A command calls ``progress`` and ``screen``.
+The command line, the browser page or a script selects the screen (``showing_on``). A command calls ``progress`` and ``screen``.
 """
 
 from collections.abc import Callable, Iterator
@@ -13,16 +13,16 @@ Progress: TypeAlias = Callable[[str, float], None]  # current task, and complete
 
 
 class Screen:
-    """Lines and questions of a long command. This default shows nothing and asks with Python's ``input``."""
+    """Lines and questions of a long command. This default does not show anything, and asks with Python's ``input``."""
 
     def progress(self, task: str, share: float) -> None:
         """Show the current task and the completed share, 0 to 1."""
 
     def say(self, *lines: str) -> None:
-        """Show lines that stay."""
+        """Show lines that remain visible."""
 
     def over(self, line: str, *, step: int | None = None, last: bool = False) -> None:
-        """Show a line in place of the last one. In a log, a line appears once for each numbered step."""
+        """Show a line that replaces the last one. In a log, a line appears once for each numbered step."""
 
     def ask(self, line: str) -> str:
         """Return the answer to a question. Raise EOFError if nobody can answer."""
@@ -56,7 +56,7 @@ def progress(task: str, share: float) -> None:
 
 @contextmanager
 def part(start: float, stop: float) -> Iterator[None]:
-    """Count the progress inside the block from one share of the whole to another."""
+    """Scale the progress within a block from one share of the whole to another."""
     low, high = _SHARE.get()
     token = _SHARE.set((low + start * (high - low), low + stop * (high - low)))
     try:

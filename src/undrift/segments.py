@@ -1,11 +1,11 @@
 """Find the segments of a record: still phases, turns at a steady rate, and moves from one pose to the next.
 
 Ranges are [start, stop). Stillness of a triad at sample k is the sliding standard deviation of its reading y, smoothed over
-``smooth_s``: d_k^2 = sum over axes of var(y over the window centred at k). Smoothing averages white noise out and keeps the motion
-of a hand or a body. The threshold comes from the data. At rest log d has one narrow peak at the noise floor, motion is decades
-above, and the threshold is the emptiest value between the two. Without such a gap there is no still phase. The threshold is at most
-the limit of a bench, or of a hand if a bench would leave too few poses. In a steady turn the smoothed rate r minus the offset at
-rest is far from zero and steady::
+``smooth_s``: d_k^2 = sum over axes of var(y over the window centred at k). Smoothing averages out white noise and keeps the motion
+of a hand or a body. The threshold is determined from the data. At rest log d has one narrow peak at the noise floor, motion is
+decades above, and the threshold is the least frequent value between them. Without such a gap there is no still phase. The threshold
+is at most the limit of a bench, or of a hand if a bench would leave too few poses. In a steady turn the smoothed rate r minus the
+offset at rest is far from zero and steady::
 
     |r| > least_floors * floor        d <= max(steadiness * |r|, 4 floor)
 """
@@ -24,26 +24,26 @@ from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
 # ---- still phases
 
-# Limits of the variation within a window at rest, in physical units: rms of three axes after smoothing. Benches, and hands on a
-# support, give 0.02-0.6 deg/s and 0.01-0.06 m/s2. A person in quiet stance or on a chair gives more.
+# Limits of the variation within a window at rest, in physical units: rms of three axes after smoothing. It is 0.02-0.6 deg/s and
+# 0.01-0.06 m/s2 on benches or for hands on a support, and larger for a person in quiet stance or on a chair.
 BENCH_RATE_LIMIT = 0.7 * RADIAN_PER_DEGREE  # rad/s
 BENCH_ACCEL_LIMIT = 0.1  # m/s2
 # limits for a pose in the hand: tremor and slow sway
 HAND_RATE_LIMIT = 6.0 * RADIAN_PER_DEGREE  # rad/s
 HAND_ACCEL_LIMIT = 0.6  # m/s2
-LARGEST_OFFSET = 40.0 * RADIAN_PER_DEGREE  # rad/s, largest offset of gyroscopes of this class at rest
+LARGEST_OFFSET = 40.0 * RADIAN_PER_DEGREE  # largest offset of gyroscopes of this class at rest, rad/s
 
 FLOOR_QUANTILE = 0.005  # quantile of d: level of the quietest windows
 _PEAK = 4.0  # a noise peak spans at most this factor above its floor
 _DECADES = (0.4, 2.2)  # range of the search for the gap, decades above the floor
 _BIN = 0.05  # decades
-_GAP_DEPTH = 0.5  # the gap is at most this share as dense as the lower of its neighbouring peaks
-_MOTION = 8.0  # in counts no limit is known: one peak this far above its white noise is motion, not rest
+_GAP_DEPTH = 0.5  # largest density of the gap, relative to the lower of its neighbouring peaks
+_MOTION = 8.0  # for counts there is no known limit: a single peak this far above its white noise is motion, not rest
 _ALL_NOISE = 1.5  # a floor within this factor of the white noise contains no motion
-_NOISE = 2.5  # white noise in a window spreads by up to this factor over that in the quietest
-_MOST_NOISE = 12.0  # limits (readings with more noise determine nothing)
-_TURNING = 20.0  # a mean reading this many floors away from the quietest windows' is a turn, not an offset
-BENCH_SHARE = 0.8  # share of the still time within a hand's limits from which a bench's limits leave out no pose
+_NOISE = 2.5  # largest ratio of the white noise in a window to that in the quietest window
+_MOST_NOISE = 12.0  # noise limit, in limits at rest (readings with more noise do not determine anything)
+_TURNING = 20.0  # a mean reading this many floors away from the mean of the quietest windows is a turn, not an offset
+BENCH_SHARE = 0.8  # share of still time within a hand's limits above which a bench's limits do not omit a pose
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +57,7 @@ class StillSettings:
     smooth_s : float
         Averaging time before the spread is computed, s. A longer time tolerates more noise and vibration.
     min_duration_s : float
-        Shortest still phase, s. The stretch around it is one window longer.
+        Shortest still phase, s. The stretch around the phase is one window longer.
     threshold_floors : float or None
         Threshold on d of both triads as a multiple of their noise floors. None determines it from the data.
 
@@ -85,14 +85,14 @@ class StillSearch:
     """Still phases of a record."""
 
     stills: tuple[Still, ...]  # in order of time, without faces
-    reason: str = ""  # why no still was found, or ""
+    reason: str = ""  # reason why there are no stills, or ""
 
 
 def find_still(record: Record, settings: StillSettings = StillSettings(), *, recording: int = 0) -> StillSearch:
     """Find the stretches in which the device did not move.
 
-    A sample is still if the window centred at it is quiet in every triad and the mean rate equals the mean rate of the quietest
-    windows (a steady turn is not a still phase). Half a window at each end of a phase is not included, on purpose.
+    A sample is still if the window centred at it is quiet in every triad and its mean rate equals that of the quietest windows (a
+    steady turn is not a still phase). Half a window at each end of a phase is deliberately not included.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def find_still(record: Record, settings: StillSettings = StillSettings(), *, rec
 
 
 def find_poses(records: Sequence[Record], settings: StillSettings = StillSettings()) -> tuple[StillSearch, ...]:
-    """Find the stills of recordings that together contain a device in many poses.
+    """Find the stills of recordings that together contain many poses of a device.
 
     The limits of a pose in the hand apply if the device is still for clearly longer within them than within the limits of a bench.
     """
@@ -214,7 +214,7 @@ class _Moments:
             return np.inf
         limit = rate / si_factor(self.unit, "rate") if self.channel == "gyro" else accel / si_factor(self.unit, "accel")
         if self.floor <= limit / (2.0 * _NOISE):
-            return limit  # white noise cannot exceed it
+            return limit  # white noise cannot exceed this limit
         white = self.white
         if _NOISE * white <= limit or self.floor > _ALL_NOISE * white:
             return limit
@@ -240,7 +240,7 @@ def _moments(record: Record, settings: StillSettings) -> list[_Moments]:
         if values is None:
             continue
         mean, spread = sliding_moments(values, window, smooth)
-        floor = max(_floor(spread), _rounding_spread(values, smooth))  # rests in coarse codes repeat one code
+        floor = max(_floor(spread), _rounding_spread(values, smooth))  # rests in coarse codes repeat a single code
         triads.append(
             _Moments(
                 channel=channel, unit=unit, values=values, mean=mean, spread=spread, floor=floor, window=window, smooth=smooth
@@ -270,12 +270,12 @@ def sliding_moments(values: FloatArray, window: int, smooth: int) -> tuple[Float
 
 
 def sample_count(seconds: float, sample_rate_hz: float) -> int:
-    """Return a length of time in samples, two at least."""
+    """Return a duration in samples, at least two."""
     return max(2, round(seconds * sample_rate_hz))
 
 
 def _threshold(triad: _Moments, settings: StillSettings, limit: float) -> float:
-    """Return the largest spread of a still window, in the unit of the triad, or NaN if nothing separates rest from motion."""
+    """Return the largest spread of a still window, in the unit of the triad, or NaN if rest and motion cannot be separated."""
     finite = triad.spread[np.isfinite(triad.spread)]
     if not len(finite):
         return np.nan
@@ -291,8 +291,8 @@ def _threshold(triad: _Moments, settings: StillSettings, limit: float) -> float:
 
 
 def _gap_above(spread: FloatArray, floor: float) -> float | None:
-    """Return the emptiest place between two peaks of log d, or None."""
-    # density of log10(d / floor), smoothed (the threshold is its emptiest value with a peak on either side)
+    """Return the value with the lowest density between two peaks of log d, or None."""
+    # density of log10(d / floor), smoothed (the threshold has the lowest density with a peak on either side)
     positive = spread[spread > 0.0]
     if floor <= 0.0 or not len(positive):
         return None
@@ -323,7 +323,7 @@ def _turning(triad: _Moments, threshold: float) -> BoolArray:
         quiet &= small
     if not quiet.any():
         return np.zeros(len(mean), bool)
-    # A steady turn differs from the offset throughout. The slow drift of a warm-up crosses the offset within its stretch.
+    # A steady turn differs from the offset throughout. The slow drift of a warm-up crosses the offset within the stretch.
     distance = np.abs(mean - np.median(mean[quiet], axis=0)).max(axis=1)
     turning = np.zeros(len(mean), bool)
     for first, last in runs(spread <= threshold):
@@ -331,16 +331,16 @@ def _turning(triad: _Moments, threshold: float) -> BoolArray:
     return turning
 
 
-# ---- rows that fill a file up: they repeat the first or the last reading, and nothing rests there
+# ---- padding rows of a file: they repeat the first or the last reading, and are not a rest
 
-_PADDED_S, _PADDED = 0.2, 10  # shorter runs of equal readings are chance
+_PADDED_S, _PADDED = 0.2, 10  # shorter runs of equal readings occur by chance
 # First step after the run, and changes of step around it, relative to the steps there. A device that starts to move begins with
 # smaller steps, and a device without noise has smooth steps
 _BREAKS = 0.1
 
 
 def unpadded(record: Record) -> Record:
-    """Return a record without the rows at its ends that repeat a reading for longer than anywhere else."""
+    """Return a record without the rows at its ends that repeat a reading for longer than elsewhere in the record."""
     triads = [values for values in (record.gyro, record.accel) if values is not None]
     least = max(_PADDED, round(_PADDED_S * record.sample_rate_hz))
     ends = (slice(0, least + 1), slice(-least - 1, None))
@@ -362,8 +362,8 @@ def unpadded(record: Record) -> Record:
     return record if last - first == len(record) else record.part(first, last)
 
 
-# Rates above this turn, rad/s, low-passed over 0.1 s and kept for 0.5 s: noise and sway of a body stay below. 1 to 8 deg/s, 0.05 to
-# 0.25 s and 0.2 to 1 s leave end errors of BROAD within 0.01 deg
+# Rates above this turn, rad/s, low-passed over 0.1 s and kept for 0.5 s: noise and sway of a body are smaller. 1 to 8 deg/s, 0.05
+# to 0.25 s and 0.2 to 1 s leave end errors of BROAD within 0.01 deg
 TURNING_ABOVE, TURNING_MEAN_S, TURNING_HOLD_S = 2.0 * RADIAN_PER_DEGREE, 0.1, 0.5
 NOT_TURNING = (0.0, 0.0, 0.0, np.nan, -np.inf)  # state before the first sample
 
@@ -371,7 +371,7 @@ NOT_TURNING = (0.0, 0.0, 0.0, np.nan, -np.inf)  # state before the first sample
 def find_turning(
     rate: FloatArray, time: FloatArray, state: tuple[float, ...] = NOT_TURNING
 ) -> tuple[FloatArray, tuple[float, ...]]:
-    """Return 1 while a device turns, else 0, (N,), for rates (N, 3), rad/s, from a causal filter with state.
+    """Return 1 while a device turns and 0 otherwise, (N,), for rates (N, 3), rad/s, from a causal filter with state.
 
     A turn starts when its low-passed rate is above the limit: 0.02 s after the onset of 10 deg/s, 0.1 s for 3.2 deg/s. Its end lags
     by the hold time, plus 0.2 s after 20 deg/s or 0.5 s after 200 deg/s.
@@ -384,14 +384,14 @@ def find_turning(
     return out, tuple(next_state.tolist())
 
 
-# ---- faces: the sensor axis that points up, by gravity
+# ---- faces: the sensor axis that points up, determined from gravity
 
 
-_FACE_DEG = 15.0  # a face is this near to the vertical
+_FACE_DEG = 15.0  # largest angle between a face and the vertical
 
 
 def faces_of(means: FloatArray, *, centred: bool) -> tuple[Face | None, ...]:
-    """Name the axis that points up for each mean reading (P, 3), or None if no axis is near the vertical."""
+    """Return the axis that points up for each mean reading (P, 3), or None if no axis is near the vertical."""
     if not centred and len(means) < 5:
         raise InputError(
             f"faces: expected five poses or more to find the zero of readings in counts, got {len(means)}. "
@@ -427,7 +427,7 @@ _LEAST_FLOORS = 10.0  # a plateau or rotation must exceed this many noise floors
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TurnSearch:
-    """Steady turns and rotations detected in a record, as read by the gyroscope. Their true rates must come from the rig."""
+    """Steady turns and rotations detected in a record, as measured by the gyroscope. Their true rates must come from the rig."""
 
     # stretches of constant rate (``axis`` is the sensor axis with the largest reading, ``turn_rate`` is not set)
     plateaus: tuple[Turn, ...]
@@ -491,7 +491,7 @@ def find_turns(record: Record, stills: Sequence[Still]) -> TurnSearch:
 
 
 def _axis(reading: FloatArray, least_share: float = 0.0) -> Axis | None:
-    """Return the axis that reads most (3,), None if it has no more than a share of the length."""
+    """Return the axis with the largest reading of (3,), or None if its share of the length is too small."""
     axis = int(np.argmax(np.abs(reading)))
     return _AXES[axis] if abs(reading[axis]) > least_share * np.linalg.norm(reading) else None
 
@@ -505,7 +505,7 @@ def _steady_stretches(
     for still in stills:
         steady[max(0, still.start - edge) : max(0, still.stop - edge)] = False
     for first, last in runs(steady).tolist():
-        # A ramp at an end is trimmed off and a step between two rates cuts the run: both exceed the run's quietest quarter.
+        # A ramp at an end is trimmed, and a step between two rates splits the run, because both exceed the run's quietest quarter.
         limit = max(4.0 * float(np.quantile(spread[first:last], 0.25)), 4.0 * floor)
         for start, stop in (first + runs(spread[first:last] <= limit)).tolist():
             begin, end = start + edge if start else 0, stop + edge if stop < len(rate) else count

@@ -1,6 +1,6 @@
-"""Values that show themselves: as text, as a page in a notebook, as a report, and as a figure.
+"""Values that can be displayed as text, as a page in a notebook, as a report, and as a figure.
 
-``report/values.py`` contains the code. It imports all stages, so it is imported when a value is shown: here, and nowhere else.
+``report/values.py`` contains the code. This module imports all stages, so it is imported only when a value is shown, and only here.
 """
 
 from typing import TYPE_CHECKING
@@ -23,7 +23,7 @@ class Shown:
         return report_of(self)
 
     def plot(self) -> "Figure":
-        """Draw the value as a matplotlib Figure: a notebook shows it, ``savefig`` writes it."""
+        """Draw the value as a matplotlib Figure. A notebook shows it, and ``savefig`` writes it to a file."""
         return self.summary().figures[0]()
 
     def __str__(self) -> str:

@@ -1,8 +1,8 @@
 """Synchronise a record with a reference on a common clock, before any fit or comparison.
 
 ``native_poses`` undoes a linear up-sampling of the reference. ``pose_rates`` turns poses into mean rates. ``find_lag`` determines
-the lag of the record's samples, and ``in_step`` whether it is constant. ``find_motion`` finds the end of the first rest and the
-start of the last. With w the body rate of the reference and u the readings, both averaged over the same stretches::
+the lag of the record's samples, and ``in_step`` checks whether it is constant. ``find_motion`` finds the end of the first rest and
+the start of the last. With w the body rate of the reference and u the readings, both averaged over the same stretches::
 
     w(t) = A u(t + lag) + c                    free A (3 x 3) and c, so that scale, mounting and offset do not affect the lag
 
@@ -31,7 +31,7 @@ from undrift.units import RADIAN_PER_DEGREE
 #
 # Averages of readings come from the running integral of the straight lines between samples.
 
-LONGEST_STEP = 1.5  # in medians of the pose interval (a longer step is a gap)
+LONGEST_STEP = 1.5  # longest step, in medians of the pose interval (a longer step is a gap)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -39,12 +39,12 @@ class PoseRates:
     """Mean body rates between neighbouring poses."""
 
     start: FloatArray  # (K,), time of the first pose, s
-    stop: FloatArray  # (K,), of the second, s
+    stop: FloatArray  # (K,), time of the second pose, s
     rate: FloatArray  # (K, 3), mean rate, rad/s, frame of the body, with zeros for invalid rows
-    valid: BoolArray  # (K,), false if a pose is missing or the step is a gap
+    valid: BoolArray  # (K,), False if a pose is missing or the step is a gap
 
     def part(self, rows: IntArray | BoolArray) -> "PoseRates":
-        """Return some of the rates."""
+        """Return selected rates."""
         return PoseRates(start=self.start[rows], stop=self.stop[rows], rate=self.rate[rows], valid=self.valid[rows])
 
 
@@ -58,7 +58,7 @@ def pose_rates(reference: Reference) -> PoseRates:
 
 
 class RunningIntegral:
-    """Integral of readings from the first sample on, for averages over any stretch."""
+    """Integral of readings from the first sample, for averages over any stretch."""
 
     def __init__(self, time: FloatArray, values: FloatArray) -> None:
         gap: BoolArray = np.asarray(np.isnan(values).any(axis=1))
@@ -70,7 +70,7 @@ class RunningIntegral:
         self._area = np.cumsum(np.concatenate((0.0 * area[:1], area)), axis=0)
 
     def mean(self, start: FloatArray, stop: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Return the mean reading (K, C) of each stretch and whether it has no gap (K,)."""
+        """Return the mean reading (K, C) of each stretch, and True for stretches without a gap (K,)."""
         (first, first_area), (last, last_area) = self._integral_at(start), self._integral_at(stop)
         valid = (start >= self.time[0]) & (stop <= self.time[-1])
         valid &= self._gaps[np.minimum(last + 1, len(self.time) - 1)] == self._gaps[first]
@@ -83,19 +83,19 @@ class RunningIntegral:
         return k, self._area[k] + value * dt + 0.5 * slope * dt**2
 
 
-# ---- coarse lag: where readings and rates correlate most, over a wide search
+# ---- coarse lag: lag with the largest correlation of readings and rates, over a wide search
 #
 # Both are averaged into cells of equal width on a common clock. At every shift the score is the multiple correlation of rates w
 # and readings u over common cells, tr(C' V^-1 C) / tr(W), with the covariances C of u and w, V of u, W of w. It is equal for
 # all mountings. All sums over cells, with masks for gaps, are correlations. A Fourier transform computes them for all shifts.
 
 CELL_S = 0.02  # s
-LEAST_OVERLAP, LEAST_CELLS = 0.3, 10.0  # share of the shorter side, and number of cells
-STILL = 1e-9  # relative to the largest variance: a side that does not turn
+LEAST_OVERLAP, LEAST_CELLS = 0.3, 10.0  # smallest overlap: share of the shorter side, and number of cells
+STILL = 1e-9  # variance below which a side does not turn, relative to the largest variance
 
 
 def coarse_lag(time: FloatArray, gyro: FloatArray, rates: PoseRates, longest_lag_s: float) -> float:
-    """Return the lag, s, with the largest correlation between readings and rates, and of equal lags the wider overlap."""
+    """Return the lag, s, with the largest correlation between readings and rates. More overlap decides between equal lags."""
     from scipy.signal import fftconvolve
 
     middle = 0.5 * (rates.start + rates.stop)
@@ -109,7 +109,7 @@ def coarse_lag(time: FloatArray, gyro: FloatArray, rates: PoseRates, longest_lag
     )
 
     def summed(first: FloatArray, second: FloatArray) -> FloatArray:
-        """Return sums over cells, (shifts, ...): cell k + s of the record meets cell k of the reference."""
+        """Return sums over cells, (shifts, ...), with cell k + s of the record at cell k of the reference."""
         return np.asarray(fftconvolve(first, second[::-1], axes=0)[count - 1 - reach : count + reach])
 
     overlap = np.round(summed(m, n))[:, 0]
@@ -136,7 +136,7 @@ def coarse_lag(time: FloatArray, gyro: FloatArray, rates: PoseRates, longest_lag
 
 
 def _cell_means(cell: IntArray, values: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return the cell means about their mean, (cells, C), zero in empty cells, and a mask of the others, (cells, 1)."""
+    """Return the cell means minus their mean, (cells, C), zero in empty cells, and a mask of the other cells, (cells, 1)."""
     weight = np.bincount(cell, minlength=count)[:, None]
     mask = (weight > 0).astype(float)
     sums = np.column_stack([np.bincount(cell, weights=column, minlength=count) for column in values.T])
@@ -144,18 +144,18 @@ def _cell_means(cell: IntArray, values: FloatArray, count: int) -> tuple[FloatAr
     return means - means.sum(axis=0) / max(mask.sum(), 1.0) * mask, mask
 
 
-# ---- poses as the instrument took them: undo a linear up-sampling of the reference
+# ---- original poses of the instrument: undo a linear up-sampling of the reference
 #
-# Many files contain poses at the sensor's sample rate, on straight lines (great arcs) between the frames of the cameras.
-# Between frames such a pose cuts the corner by a h^2 / 8 for an angular acceleration a and a frame interval h, always towards less
-# motion. At 2 Hz and 120 frames/s that is 0.1 % of the amplitude, which would look like a scale factor.
+# Many files contain poses at the sensor's sample rate, on straight lines (great arcs) between the frames of the cameras. Between
+# frames, such a pose is off by a h^2 / 8 for an angular acceleration a and a frame interval h, always towards less motion. At 2
+# Hz and 120 frames/s that is 0.1 % of the amplitude, which would look like a scale factor.
 #
 # On a straight line the rate between neighbours repeats to the last digit, and changes at the frames. The middles of the repeats
 # form a comb of the frame rate. The largest Fourier sum gives its frequency and phase, and each frame is the end of a line.
 
 LEAST_REPEATS = 0.02  # share of neighbouring rates that repeat before up-sampling is suspected
-COMB_SHARPNESS = 0.95  # relative to a perfect comb
-SAME_RATE = 1e-4  # relative to the median change of rate: two rates are equal
+COMB_SHARPNESS = 0.95  # smallest Fourier sum, relative to a perfect comb
+SAME_RATE = 1e-4  # relative to the median change of rate: closer rates are equal
 NEAR_FRAME_S = 2e-5  # a sample this close to a frame may be on either side of it
 
 
@@ -171,7 +171,7 @@ def native_poses(reference: Reference) -> Reference:
         return reference
     first, last = np.ceil(frequency * reference.time[0] - phase), np.floor(frequency * reference.time[-1] - phase)
     frames: FloatArray = (np.arange(first, last + 1.0) + phase) / frequency
-    # line through the last two samples before a frame, extended to it, or NaN if they are not both in the interval before it
+    # line through the last two samples before a frame, extended to the frame, or NaN if they are not both in the interval before it
     following = np.searchsorted(reference.time, frames)
     k = np.clip(following - 2, 0, len(rates.rate) - 1)
     inside = rates.valid[k] & (rates.start[k] >= frames - 1.0 / frequency - NEAR_FRAME_S)
@@ -220,14 +220,14 @@ def _comb(t: FloatArray, guess: float) -> tuple[float, float, float]:
 # ---- lag to a fraction of a sample
 
 _STEPS = 12  # largest number of Gauss-Newton steps (the last steps change the lag by less than a microsecond)
-LONGEST_LAG_S = 5.0  # s, half-width of the search
-AVERAGE_S = 0.05  # s, of rates that are compared: a longer time removes more pose noise but blurs fast motion
+LONGEST_LAG_S = 5.0  # half-width of the search, s
+AVERAGE_S = 0.05  # averaging time of compared rates, s: a longer time removes more pose noise but blurs fast motion
 _BLOCK_S = 0.5  # residuals this far apart count as independent
 LEAST_AVERAGES = 30  # smallest number of common averages
 LEAST_CORRELATION = 0.7  # smallest correlation of the rates at the lag for a common motion
 
 
-# Least singular value that counts, of the largest: with one axis the other readings are noise
+# smallest singular value, relative to the largest: with one axis, the other readings are noise
 _ONE_AXIS, _THREE_AXES = 0.05, 1e-6
 
 
@@ -235,7 +235,7 @@ _ONE_AXIS, _THREE_AXES = 0.05, 1e-6
 class Lag:
     """Lag between the clock of a record and the clock of a reference."""
 
-    seconds: float  # A reading stamped t was true at t - seconds on the reference's clock, s
+    seconds: float  # lag, s: a reading with time stamp t was taken at t - seconds on the reference's clock
     standard_uncertainty: float  # standard uncertainty of ``seconds``, s, from half-second blocks of residuals
     correlation: float  # multiple correlation of reference rate and readings at this lag
     matrix: FloatArray  # (A, 3), reference rate per reading: scale and mounting, rad/s per unit of the readings
@@ -258,7 +258,7 @@ def lag_of(
     average_s: float = AVERAGE_S,
     near: float | None = None,
 ) -> Lag:
-    """Determine the lag of readings behind mean rates about three axes or about one, starting at ``near``, if given."""
+    """Determine the lag of readings behind mean rates about three axes or one axis, starting at ``near`` if it is given."""
     lag = coarse_lag(time, gyro, rates, longest_lag_s) if near is None else near
     integral, wanted = RunningIntegral(time, gyro), _average_rates(rates, average_s)
     fit: Lag | None = None
@@ -325,12 +325,12 @@ def _align(integral: RunningIntegral, wanted: PoseRates, lag: float) -> tuple[La
     ), step
 
 
-# ---- two clocks that do not run alike: a straight line through the lags of parts of a recording
+# ---- two clocks with different rates: a straight line through the lags of parts of a recording
 
 PARTS, LEAST_PART_S = 5, 6.0  # number of parts of a recording, each with its own lag, and shortest part
-LEAST_SKEW_S, SKEW_SIGMAS = 1e-3, 4.0  # over the recording: clocks in step differ by up to 0.1 ms, in BROAD
-OUT_OF_STEP_S = 0.03  # off a line through the lags: samples were lost, or another trial's were put in. Assumed.
-TURNING = 5.0 * RADIAN_PER_DEGREE  # rad/s, median: no rest has such rates, for any offset of the device
+LEAST_SKEW_S, SKEW_SIGMAS = 1e-3, 4.0  # over the recording: clocks in step differ by up to 0.1 ms in BROAD
+OUT_OF_STEP_S = 0.03  # deviation from a line through the lags: samples were lost, or are from another trial. Assumed.
+TURNING = 5.0 * RADIAN_PER_DEGREE  # median rate, rad/s: larger than at any rest, for any offset of the device
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -339,8 +339,8 @@ class LagLine:
 
     middle_s: float
     lag_s: float
-    skew: float  # seconds per second by which the clock of the record runs faster
-    lag_uncertainty_s: float  # standard, at ``middle_s``
+    skew: float  # relative excess rate of the record's clock, s/s
+    lag_uncertainty_s: float  # standard uncertainty at ``middle_s``, s
     skew_uncertainty: float  # standard uncertainty, or infinity if only one part has a lag
     off_s: FloatArray  # (P,), lags minus the line
 
@@ -349,7 +349,7 @@ class LagLine:
         return time + self.lag_s + self.skew * (time - self.middle_s)
 
     def uncertainty_s(self, time: float) -> float:
-        """Return the standard uncertainty of that time."""
+        """Return the standard uncertainty of the time that ``later`` returns."""
         return float(np.hypot(self.lag_uncertainty_s, (time - self.middle_s) * self.skew_uncertainty))
 
 
@@ -358,7 +358,7 @@ def lag_line(
 ) -> LagLine:
     """Fit a line to the lags of parts of a recording, with an uncertainty that includes their scatter.
 
-    Lags with a larger uncertainty than an average are omitted, and ``floor_s`` is the smallest uncertainty that counts. Raise
+    Lags with an uncertainty above an average are omitted. ``floor_s`` is the smallest uncertainty that is used. Raise
     AlignmentError if a part has no common motion.
     """
     lags, when, longest_lag_s = list[Lag](), list[float](), abs(near) + LONGEST_LAG_S
@@ -392,13 +392,13 @@ class Clocks:
 
     time: FloatArray  # (N,), times of the recording on a clock that runs at the rate of the reference's clock
     lag: Lag  # delay of the recording relative to the reference
-    reference: Reference  # without poses that only fill the file up
+    reference: Reference  # reference without padding poses
     poses: Reference  # poses at the frames of the cameras only
-    findings: tuple[Finding, ...]  # samples that were lost
+    findings: tuple[Finding, ...]  # findings about lost samples
 
 
 def in_step(record: Record, reference: Reference, longest_lag_s: float = LONGEST_LAG_S) -> Clocks:
-    """Find the lag of a recording behind its reference, and whether both clocks run alike."""
+    """Determine the lag of a recording behind its reference, and check whether both clocks have the same rate."""
     poses = native_poses(reference)
     lag, rates = find_lag(record, poses, longest_lag_s), pose_rates(poses)
     common = (rates.start + lag.seconds >= record.time[0]) & (rates.stop + lag.seconds <= record.time[-1])
@@ -406,7 +406,7 @@ def in_step(record: Record, reference: Reference, longest_lag_s: float = LONGEST
     line: LagLine | None = None
     if span_s > PARTS * LEAST_PART_S:
         parts = [rates.part(rows) for rows in np.array_split(np.flatnonzero(common), PARTS)]
-        with suppress(AlignmentError):  # a part is still, or has no poses
+        with suppress(AlignmentError):  # a part is at rest, or has no poses
             line = lag_line(record, parts, near=lag.seconds)
     findings: tuple[Finding, ...] = ()
     if line is not None:
@@ -416,7 +416,7 @@ def in_step(record: Record, reference: Reference, longest_lag_s: float = LONGEST
         if (lost_s := float(np.ptp(line.off_s))) > OUT_OF_STEP_S:
             sentence = f"Recording and reference are out of step: their lag changes by {1e3 * lost_s:.0f} ms, not in proportion "
             sentence += "to time. Samples were lost, or the two do not belong together."
-            action = "Check both files for lost samples, or judge each part by itself."
+            action = "Check both files for lost samples, or judge each part separately."
             findings = (finding("sync.out_of_step", "warn", sentence, action),)
     poses, reference = (seen_poses(record, each, lag) for each in (poses, reference))
     return Clocks(time=record.time, lag=lag, reference=reference, poses=poses, findings=findings)
@@ -450,13 +450,13 @@ LEAST_REST_S, LEAST_MOTION_S = 3.0, 1.0
 class MotionSpan:
     """The stretch between the first and the last rest, or the whole common stretch if a recording begins in motion."""
 
-    start_s: float  # first moment of motion, s, clock of the record
-    stop_s: float  # first moment after it
+    start_s: float  # start of the motion on the clock of the record, s
+    stop_s: float  # end of the motion, s
     rested: bool  # True if the motion begins after a rest
 
 
 def find_motion(record: Record, reference: Reference, *, lag_s: float = 0.0) -> MotionSpan:
-    """Find the stretch of motion between the first and the last rest, or without a first rest the common stretch of motion."""
+    """Find the stretch of motion between the first and the last rest, or the common stretch of motion if there is no first rest."""
     valid_time = reference.time[reference.valid] + lag_s
     first, last = max(float(record.time[0]), float(valid_time[0])), min(float(record.time[-1]), float(valid_time[-1]))
     begins = max(float(record.time[0]), float(reference.time[0]) + lag_s)
@@ -476,7 +476,7 @@ def find_motion(record: Record, reference: Reference, *, lag_s: float = 0.0) -> 
 
 
 def _motion_between_stills(record: Record) -> tuple[float, float] | None:
-    """Return the stretch from the first rest of 3 s to the last one or to the end, or None without such a rest."""
+    """Return the stretch from the first rest of 3 s to the last rest or to the end, or None without such a rest."""
     search = find_still(record)
     long = [s for s in search.stills if record.time[s.stop - 1] - record.time[s.start] >= LEAST_REST_S]
     if not long:

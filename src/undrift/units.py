@@ -12,8 +12,8 @@ from undrift.errors import InputError
 
 # ---- the Earth: rotation rate and local gravity
 
-EARTH_RATE = 7.292115e-5  # rad/s, WGS 84
-_LOWEST, _HIGHEST = -5000.0, 100e3  # m, from below the deepest mine to above all aircraft and the range of the series
+EARTH_RATE = 7.292115e-5  # rotation rate, rad/s, WGS 84
+_LOWEST, _HIGHEST = -5000.0, 100e3  # heights, m: from below the deepest mine to above all aircraft
 
 
 def gravity_at(latitude_deg: float, height_m: float = 0.0) -> float:
@@ -45,11 +45,11 @@ def gravity_at(latitude_deg: float, height_m: float = 0.0) -> float:
 
 Quantity = Literal["rate", "accel", "temp", "time", "mag", "length"]
 
-STANDARD_GRAVITY = 9.80665  # m/s2, ISO 80000-3
-# m/s2, equator to pole, with a standard uncertainty of 0.15 % for a uniform distribution
+STANDARD_GRAVITY = 9.80665  # standard gravity, m/s2, ISO 80000-3
+# range of gravity from equator to pole, m/s2 (uniform distribution: standard uncertainty of 0.15 %)
 INHABITED_GRAVITY = (9.780, 9.832)
 RADIAN_PER_DEGREE = math.pi / 180.0
-ZERO_CELSIUS_K = 273.15  # K, of 0 degC
+ZERO_CELSIUS_K = 273.15  # 0 degC, K
 
 DEVICE_UNITS = ("count", "v")
 
@@ -81,7 +81,7 @@ def canonical_unit(unit: str, quantity: Quantity) -> str:
         return name
     units = [*_TO_SI[quantity], *(DEVICE_UNITS if quantity in ("rate", "accel", "temp", "mag") else ())]
     raise InputError(
-        f"unit of {quantity}: expected one of {', '.join(units)}, got '{unit}'. Name the unit of the column."
+        f"unit of {quantity}: expected one of {', '.join(units)}, got '{unit}'. Correct the unit of the column."
     )
 
 

@@ -77,7 +77,7 @@ def test_recordings_of_two_devices_are_refused(shelf, tmp_path):
 def test_a_recording_without_serial_number_is_refused(shelf, tmp_path, name):
     recording(tmp_path, "")
     (tmp_path / "foreign.csv").write_text("t,gx,gy,gz\n" + "0,1,2,3\n" * 50)
-    with pytest.raises(InputError, match="does not state the serial number"):
+    with pytest.raises(InputError, match="does not contain the serial number"):
         Reader(Opening(), shelf, (tmp_path / name,))
 
 

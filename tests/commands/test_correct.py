@@ -63,7 +63,7 @@ def test_a_file_beside_the_output_that_is_read_is_not_written_over(undrift, benc
     model.write_bytes((bench / "calibration.json").read_bytes())
     before = contents(tmp_path)
     line = undrift.refused("correct", bench / "trial.parquet", "--calibration", model, "-o", tmp_path / "c.csv")
-    assert "this file is also read" in line
+    assert "this file is an input" in line
     assert contents(tmp_path) == before
 
 

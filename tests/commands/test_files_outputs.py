@@ -43,7 +43,7 @@ def test_a_link_to_what_is_read_is_what_is_read(undrift, bench, tmp_path):
     link = tmp_path / "link.parquet"
     link.symlink_to(tmp_path / "b" / "corrected.parquet")
     before = contents(tmp_path)
-    assert "this file is also read" in undrift.refused(*words_of("orient", tmp_path / "b", link))
+    assert "this file is an input" in undrift.refused(*words_of("orient", tmp_path / "b", link))
     assert contents(tmp_path) == before
 
 

@@ -79,7 +79,7 @@ def test_a_session_is_not_overwritten_nor_made_of_one(undrift, bench, board):
     undrift.good("info", *words, "--write-session", board / "s")
     before = contents(board)
     line = undrift.refused("info", *words, "--write-session", board / "s")
-    assert "the session exists already" in line
+    assert "the session already exists" in line
     line = undrift.refused("info", bench / "session", "--write-session", board / "t")
     assert "expected recordings without a session" in line
     assert contents(board) == before

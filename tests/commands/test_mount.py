@@ -78,9 +78,9 @@ def test_what_is_not_shown_writes_nothing_and_fails(undrift, worn, tmp_path):
     ("words", "wanted"),
     [
         ((), "--worn"),
-        (("--worn", "thigh", "-o", "no.json"), "expected a calibration to add the mounting to, got none"),
+        (("--worn", "thigh", "-o", "no.json"), "expected a calibration to which the mounting is added, got none"),
         (("--worn", "thigh", "-o", "no.csv"), r"expected a name ending in \.json"),
-        (("--worn", "foot", "--movement", "bow"), "bow does not move the foot"),
+        (("--worn", "foot", "--movement", "bow"), "in a bow, the foot does not move"),
     ],
 )
 def test_a_call_that_does_not_fit_is_refused_in_a_line(undrift, worn, words, wanted):

@@ -62,7 +62,7 @@ def test_what_orient_refuses(undrift, bench, tmp_path):
     assert "Add --calibration calibration.json" in refused(bench / "trial.parquet", "-o", tmp_path / "o.csv")
     assert "--output" in refused(corrected)
     assert "expected a name ending in .parquet, .csv, .csv.gz or .sto" in refused(corrected, "-o", tmp_path / "o.xls")
-    assert "this file is also read" in refused(corrected, "-o", corrected)
+    assert "this file is an input" in refused(corrected, "-o", corrected)
     assert "up" in refused(corrected, "-o", tmp_path / "o.csv", "--up", "+x")
     assert "expected a recording" in refused(bench / "calibration.json", "-o", tmp_path / "mine.csv")
 
@@ -72,7 +72,7 @@ def test_a_recording_of_the_session_that_is_read_is_not_written_over(undrift, be
     path = bench / "session" / inside
     before = path.read_bytes()
     line = undrift.refused("orient", bench / "session", "--calibration", bench / "calibration.json", "-o", path)
-    assert "expected" in line or "also read" in line
+    assert "expected" in line or "is an input" in line
     assert path.read_bytes() == before
 
 

@@ -64,7 +64,7 @@ def test_ports_are_listed_and_the_only_one_is_taken(undrift, tmp_path, monkeypat
     [
         (("/dev/ttyX",), "expected a file to write, got none. Add --output walk.parquet to record serial:///dev/ttyX"),
         (("/dev/ttyX", "-o", "a.xls"), "expected a name ending in .parquet, .csv or .csv.gz"),
-        (("tcp://h:1", "-o", "old.csv"), "the file exists already"),
+        (("tcp://h:1", "-o", "old.csv"), "the file already exists"),
         (("pigeon:x", "-o", "a.csv"), "expected one of tcp:..."),
     ],
 )

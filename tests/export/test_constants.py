@@ -48,7 +48,7 @@ def test_json_constants_correct_as_the_corrector_does():
     for part in ("static table", "dynamic table", "scale table", "uncertainties"):
         assert part in not_carried
     assert "g-sensitivity" not in not_carried
-    assert "tables over temperature are read at 40 degC" in exported.notes
+    assert "tables over temperature are evaluated at 40 degC" in exported.notes
 
 
 def test_scale_of_the_map_is_noted():

@@ -116,7 +116,7 @@ def test_bench_answers_nobody_without_its_token(tmp_path: Path) -> None:
         sent = {"cookie": cookie.partition(";")[0], "content-length": "5000000000"}  # 5 GB, of which nothing follows
         status, _, body = asked("/", "POST", **sent)
         assert status == 413
-        assert body.startswith(b"upload: files that are sent together may have 500 MB.")
+        assert body.startswith(b"upload: files that are sent together may have 500 MB in total.")
         status, headers, _ = asked("/", cookie=cookie.partition(";")[0])
         assert status == 200
         policy = headers["content-security-policy"]

@@ -17,7 +17,7 @@ from typing import Protocol, TypeVar
 from undrift.errors import InputError
 
 T = TypeVar("T")
-Step = Callable[[], float | None]  # does some work and returns the seconds until the next call, or None to end
+Step = Callable[[], float | None]  # works and returns the seconds until its next call, or None to end
 POLL_S = 0.02
 
 
@@ -30,14 +30,14 @@ class Port(Protocol):
         """Return the received bytes, or b"" if nothing arrives in time."""
 
     def write(self, data: bytes) -> None:
-        """Send all of it."""
+        """Send all bytes."""
 
     def close(self) -> None:
         """Close it."""
 
 
 class Repeat:
-    """A thread that takes a step again and again."""
+    """A thread that repeats a step."""
 
     def __init__(self, step: Step, name: str, speed: float) -> None:
         self._step, self._speed = step, speed
@@ -58,7 +58,7 @@ class Repeat:
 
 
 class Clock:
-    """The host's monotonic clock times a speed."""
+    """The host's monotonic clock, multiplied by a speed."""
 
     def __init__(self, speed: float = 1.0, *, zero_s: float = 0.0) -> None:
         if not 0.0 < speed < 1e6:
@@ -68,7 +68,7 @@ class Clock:
 
     @classmethod
     def started(cls, speed: float = 1.0) -> "Clock":
-        """Return a clock that shows 0 now."""
+        """Return a clock that starts at 0 now."""
         return cls(speed, zero_s=time.monotonic())
 
     def now(self) -> float:
@@ -94,11 +94,11 @@ class Clock:
         return Repeat(step, name, self.speed)
 
     def condition(self) -> threading.Condition:
-        """Return a condition whose waits take this clock's time."""
+        """Return a condition variable whose waits use this clock's time."""
         return threading.Condition()
 
     def connection(self, host: str, port: int) -> Port | None:
-        """Return a way to a server on this clock, or None if servers are reached by sockets."""
+        """Return a connection to a server on this clock, or None if servers are reached with sockets."""
         return None
 
 

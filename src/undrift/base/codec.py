@@ -1,4 +1,4 @@
-"""Files of values: JSON and TOML <-> classes that pydantic checks. The class is the file, with its keys and in its units.
+"""Files of values: JSON and TOML <-> classes that pydantic checks. A class defines the file, with its keys and units.
 
 ::
 
@@ -19,7 +19,7 @@
 
 Tables are strict and closed: a number is not text, and an unknown key is an error. A key is required if its field has no
 default, or in a dataclass that is stored ``whole``. A dataclass is built by pydantic when a file is read, with its
-``__post_init__``. It is not checked when the program makes one.
+``__post_init__``. It is not checked when the program creates one.
 """
 
 import difflib
@@ -58,9 +58,9 @@ class FileTable(BaseModel):
 
 
 def stored(*, kind: str = "", whole: bool = False, form: "As | None" = None) -> Callable[[type[Value]], type[Value]]:
-    """Return a decorator for a dataclass in a file: its ``kind``, if it is a file of its own, and if all keys are required.
+    """Return a decorator for a dataclass in a file. ``kind`` makes it a separate file, and ``whole`` makes all keys required.
 
-    Keys that are LATER stay optional. With a ``form`` the file has another type in its place.
+    LATER keys remain optional. With a ``form``, the file contains another type instead.
     """
 
     def build(cls: Any, source: Any, handler: Any) -> Any:
@@ -84,7 +84,7 @@ def stored(*, kind: str = "", whole: bool = False, form: "As | None" = None) -> 
 
 @dataclass(frozen=True, slots=True)
 class As:
-    """Mark of a type that is another type in a file."""
+    """Annotation of a type that is stored as another type in a file."""
 
     form: Any  # type in the file
     read: Callable[[Any], Any]  # converts from the form
@@ -105,7 +105,7 @@ def to_null(value: float) -> float | str | None:
     return value if math.isfinite(value) else None if math.isnan(value) else "inf" if value > 0.0 else "-inf"
 
 
-Gap = Annotated[float, As(float | None, _from_null, to_null)]  # NaN is null in a file
+Gap = Annotated[float, As(float | None, _from_null, to_null)]  # number, with NaN stored as null in a file
 AnyNumber = Annotated[float, As(float | None | Literal["inf", "-inf"], _from_null, to_null)]  # also infinite
 Pairs = Annotated[tuple[tuple[str, str], ...], As(dict[str, str], lambda table: tuple(table.items()), dict)]
 
@@ -129,7 +129,7 @@ def value_of(cls: type[Value], tree: Any, name: str, text: str = "") -> Value:
                 f"{name}: expected format {FORMAT}, got {head[1]!r}. Read it with the undrift that wrote it."
             )
         tree = {key: item for key, item in tree.items() if key not in ("kind", "format")}
-    try:  # as JSON: strict, and lists are tuples there
+    try:  # validate as JSON, which is strict and accepts lists for tuples
         value: Value = _adapter(cls).validate_json(json.dumps(tree, default=str))
     except ValidationError as error:
         raise FileFormatError(f"{name}: {_first_problem(cls, error, tree, text)}") from error
@@ -145,7 +145,7 @@ def _first_problem(cls: type, error: ValidationError, tree: Any, text: str) -> s
     unknown = [problem for problem in problems if problem["type"] in ("extra_forbidden", "unexpected_keyword_argument")]
     problem: Any = (unknown or problems)[0]
     place, value = list[Any](), tree
-    for step in problem["loc"]:  # pydantic names branches of unions too, which the file does not have
+    for step in problem["loc"]:  # pydantic also names branches of unions, which the file does not contain
         if step in value if isinstance(value, dict) else isinstance(value, list) and isinstance(step, int):
             place, value = [*place, step], value[step]
     if problem["type"] == "missing":
@@ -242,7 +242,7 @@ def toml_of(path: Path | str) -> tuple[Tree, str]:
 
 
 def json_text(value: Any, name: str) -> str:
-    """Return the text of a JSON file after a check that it reads back. ``name`` is used in error messages."""
+    """Return the text of a JSON file after a check that it can be read back. ``name`` is used in error messages."""
     try:
         tree = tree_of(value)
         value_of(type(value), tree, "the file")

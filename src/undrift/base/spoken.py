@@ -1,9 +1,9 @@
-"""Names of arguments in texts: written as in Python, `gravity_m_s2`, and shown in the words of the face that runs.
+"""Names of arguments in texts: written as in Python, `gravity_m_s2`, and shown in the words of the active interface.
 
-The command line shows options, --gravity-m-s2, and the page of the bench shows its own words (``calling``). Texts of
-findings are converted where they are shown. Errors and notes contain values, which may be anything, so in them a word in
-back-ticks is converted only if the running command, or the page, has a parameter of exactly that name. Data in JSON and
-table cells do not change.
+The command line shows options, --gravity-m-s2, and the page of the bench shows its own words (``calling``). Texts of findings are
+converted where they are shown. Errors and notes contain values, which may contain any text. Therefore a word in back-ticks in them
+is converted only if the running command, or the page, has a parameter of exactly that name. Data in JSON and table cells do not
+change.
 """
 
 import re
@@ -11,9 +11,9 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 
-CALLED: ContextVar[tuple[str, ...]] = ContextVar("CALLED", default=())  # the words of the command line, if it called
-NAMED: ContextVar[frozenset[str]] = ContextVar("NAMED", default=frozenset())  # parameters of the command that runs
-PAGE: ContextVar[Mapping[str, str]] = ContextVar("PAGE", default={})  # noqa: B039  # words of the page, if it shows
+CALLED: ContextVar[tuple[str, ...]] = ContextVar("CALLED", default=())  # True if the command line made the call
+NAMED: ContextVar[frozenset[str]] = ContextVar("NAMED", default=frozenset())  # parameters of the running command
+PAGE: ContextVar[Mapping[str, str]] = ContextVar("PAGE", default={})  # noqa: B039  # words of the page, if it is active
 SHOWING: ContextVar[bool] = ContextVar(
     "SHOWING", default=False
 )  # True while text is shown to a person, not written as data
@@ -26,12 +26,12 @@ _ARGUMENT = re.compile(r"`([a-z]\w*)`")
 
 
 def option_of(name: str) -> str:
-    """Return the option of an argument: --gravity-m-s2 of gravity_m_s2."""
+    """Return the option for an argument: --gravity-m-s2 for gravity_m_s2."""
     return "--" + OPTIONS.get(name, name).replace("_", "-")
 
 
 def _name_of(name: str) -> str:
-    """Return how the page or the command line calls an argument. The page names options that it does not have."""
+    """Return the name of an argument on the page or the command line. For missing fields, the page uses the option."""
     page = PAGE.get()
     return page.get(name, f"command line: {option_of(name)}") if page else option_of(name)
 
@@ -49,7 +49,7 @@ def spoken_finding(text: str) -> str:
 
 @contextmanager
 def showing() -> Iterator[None]:
-    """Make findings name options within a ``with`` block, if the command line or the page is running."""
+    """Use names of options in findings within a ``with`` block, if the command line or the page is running."""
     before = SHOWING.set(bool(CALLED.get() or PAGE.get()))
     try:
         yield
@@ -59,7 +59,7 @@ def showing() -> Iterator[None]:
 
 @contextmanager
 def calling(words: Mapping[str, str]) -> Iterator[None]:
-    """Name arguments by the words of a page within a ``with`` block."""
+    """Use the words of a page for arguments within a ``with`` block."""
     before = PAGE.set(words)
     try:
         yield

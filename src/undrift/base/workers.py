@@ -1,6 +1,6 @@
 """Work on several processors: threads, processes of this machine, or workers of a Dask scheduler.
 
-Where no thread can be started, as in a browser, the calls run one after the other in the caller.
+If no thread can be started, as in a browser, the calls run one after another in the caller.
 """
 
 import os
@@ -17,7 +17,7 @@ from undrift.errors import InputError
 
 @cache
 def has_threads() -> bool:
-    """Return whether this interpreter can start a thread."""
+    """Return True if this interpreter can start a thread."""
     try:
         threading.Thread(target=bool).start()
     except RuntimeError:
@@ -31,7 +31,7 @@ def processors() -> int:
 
 
 def threads(count: int) -> Executor:
-    """Return a pool of threads, or one that calls in the caller."""
+    """Return a pool of threads, or a pool that makes the calls in the caller."""
     return ThreadPoolExecutor(count) if has_threads() else _Caller()
 
 
@@ -60,7 +60,7 @@ def executor(workers: int | None = None, scheduler: str | None = None) -> Iterat
             client = connect(scheduler, timeout=10.0, set_as_default=False)
         except (OSError, ValueError) as error:
             raise InputError(
-                f"scheduler: no Dask scheduler answers at {scheduler} ({error}). Start one: dask scheduler."
+                f"scheduler: no Dask scheduler answers at {scheduler} ({error}). Start one with: dask scheduler."
             ) from error
         with client:
             yield client.get_executor().map
@@ -76,7 +76,7 @@ def executor(workers: int | None = None, scheduler: str | None = None) -> Iterat
 
 
 def _shared_map(pool: Executor, fn: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
-    """Return results in order, as ``pool.map``. While the next one is not ready, the caller takes calls from the far end."""
+    """Return results in order, as ``pool.map`` does. While the next is not ready, the caller makes calls from the end."""
     items = list(items)
     futures = [pool.submit(fn, item) for item in items]
 

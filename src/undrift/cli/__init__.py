@@ -3,7 +3,7 @@
 import tomllib
 from pathlib import Path
 
-# At the end of each --help: calls as they may be typed, by command
+# example calls at the end of each --help, by command
 EXAMPLES: dict[str, tuple[str, ...]] = {
     name: tuple(lines)
     for name, lines in tomllib.loads(Path(__file__).with_name("examples.toml").read_text("utf-8")).items()
@@ -11,5 +11,5 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
 
 
 def examples(command: str) -> str:
-    """Return the end of a command's help."""
+    """Return the examples at the end of a command's help."""
     return "Examples:\n" + "\n".join(f"  {line}" for line in EXAMPLES[command])

@@ -1,9 +1,8 @@
 """The program ``undrift``: its commands and the handling of errors.
 
-Exit codes are 0 (done), 1 (done, but the verdict is bad), 2 (wrong input or call, with a line on stderr) and 3 (a rig
-or device failed). An unexpected error also prints a line and returns code 2. Set UNDRIFT_TRACEBACK=1 in the environment
-for its traceback. ``undrift --help`` is written without cyclopts and rich, and a command is imported only when it is
-called.
+Exit codes are 0 (done), 1 (done, but the verdict is bad), 2 (wrong input or call, with a line on stderr) and 3 (a rig or device
+failed). An unexpected error also prints one line and returns code 2. To see its traceback, set UNDRIFT_TRACEBACK=1 in the
+environment. ``undrift --help`` is written without cyclopts and rich, and a command is imported only when it is called.
 """
 
 import os
@@ -47,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         if not sys.stdout.closed:
             sys.stdout.flush()
-    except OSError:  # reported already: with text still in its buffer, Python would end with code 120
+    except OSError:  # already reported: with text still in the buffer, Python would end with code 120
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     sys.exit(code)
 
@@ -57,7 +56,7 @@ def _stop_on_signals() -> None:
     numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
     def stop(number: int, _: object) -> None:
-        for other in numbers:  # one is enough: more would spoil the clean-up, the message or the exit code
+        for other in numbers:  # one signal is enough: more would disturb the clean-up, the message or the exit code
             signal.signal(other, signal.SIG_IGN)
         raise KeyboardInterrupt(f"stopped by {signal.Signals(number).name}")
 
@@ -87,18 +86,18 @@ def _run(arguments: Sequence[str]) -> int:
         from undrift.cli.call import call
 
         code = call(arguments)
-        sys.stdout.flush()  # a full disk is told here, not when Python ends
+        sys.stdout.flush()  # a full disk is reported here, not when Python ends
         return code
     except KeyboardInterrupt as error:
         return _refuse(arguments, error, "stopped. No file was left incomplete.", code=130)
     except UndriftError as error:
         return _refuse(arguments, error, str(error), code=3 if isinstance(error, RigError) else 2)
-    except BrokenPipeError:  # the reader of stdout, such as head, has seen enough
+    except BrokenPipeError:  # the reader of stdout, such as head, has stopped reading
         with suppress(OSError):
             sys.stdout.close()
         return 0
     except OSError as error:
-        from undrift.files import is_full  # not for help, which answers at once
+        from undrift.files import is_full  # imported here for a quick --help
 
         text = f"{error.filename or 'file'}: {error.strerror or error}. "
         text += "Free disk space and run it again." if is_full(error) else "Check the path and its permissions."
@@ -111,7 +110,7 @@ def _run(arguments: Sequence[str]) -> int:
 
 
 def _check_names(arguments: Sequence[str]) -> None:
-    """Refuse a name that is not UTF-8: no page, JSON or calibration could state it."""
+    """Raise for a name that is not UTF-8, because no page, JSON file or calibration could contain it."""
     for word in arguments:
         printable = word.encode("utf-8", "backslashreplace").decode()
         if "\\udc" in printable and "\\udc" not in word:
@@ -119,7 +118,7 @@ def _check_names(arguments: Sequence[str]) -> None:
 
 
 def _refuse(arguments: Sequence[str], error: BaseException, text: str, *, code: int) -> int:
-    """Write an error to stderr in one line, and with --json also as an object to stdout. Return the exit code."""
+    """Write an error to stderr as one line, and with --json also as an object to stdout. Return the exit code."""
     from undrift.base.spoken import spoken
 
     text = spoken(" ".join(text.split()))

@@ -1,4 +1,4 @@
-"""Call a command: parse its words, run it with its progress on the screen, and show its report.
+"""Call a command: parse its arguments, run it with its progress on the screen, and show its report.
 
 A command is a function of ``undrift.commands`` that returns a ``Report``. Its parameters are the options, and its
 docstring is the help. ``--report``, ``--details`` and ``--json`` belong to every command.
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from cyclopts.help import HelpPanel
     from cyclopts.help.protocols import HelpFormatter
 
-FUNCTIONS = {  # the module and the function of each command
+FUNCTIONS = {  # module and function of each command
     **{name: f"{name}:{name}" for name in COMMANDS if name != "rig"},
     "bench": "open_bench:bench",
     **{f"rig {name}": f"rig:{name}" for name in ("run", "stop", "check")},
@@ -55,7 +55,7 @@ def app() -> App:
         for group in groups:
             home = home[group] if group in home else home.command(_group(group))
         home.command(f"undrift.commands.{place}", name=name, help_epilogue=examples(words))
-    root.register_install_completion_command(add_to_startup=False)  # the shell's own start file stays as it is
+    root.register_install_completion_command(add_to_startup=False)  # the shell's start file is not changed
     return root
 
 
@@ -64,7 +64,7 @@ def _group(name: str) -> App:
 
 
 def call(arguments: Sequence[str]) -> int:
-    """Run the command that the arguments name, and return the exit code."""
+    """Run the command given by the arguments, and return the exit code."""
     root = app()
     root.meta.suppress_keyboard_interrupt = False
 
@@ -90,7 +90,7 @@ def call(arguments: Sequence[str]) -> int:
         read = files_in(tuple(value for key, value in bound.arguments.items() if not _is_output(command, key)))
         inputs = tuple(dict.fromkeys(read))
         check_output(report, endings=(".html",), reads=inputs)
-        origin = None if report is None else origin_of(*inputs)  # before the command, which may overwrite its input
+        origin = None if report is None else origin_of(*inputs)  # before an input is overwritten
         with Terminal(name) as terminal, showing_on(terminal):
             result: Report = command(*bound.args, **bound.kwargs)
         if report is not None:
@@ -117,7 +117,7 @@ def call(arguments: Sequence[str]) -> int:
 
 def _option_names(command: Callable[..., Any]) -> frozenset[str]:
     """Return the names of all parameters of a command, including the fields of its settings."""
-    names = {"reference_map"}  # info also sends people to validate
+    names = {"reference_map"}  # info also refers to options of validate
     for name, hint in get_type_hints(command).items():
         names |= {name, *(item.name for item in fields(hint))} if is_dataclass(hint) else {name}
     return frozenset(names)
@@ -128,7 +128,7 @@ def _is_output(command: Callable[..., Any], name: str) -> bool:
 
 
 def _formatter() -> "HelpFormatter":
-    """Return a help formatter that fills the lines of the terminal, because docstrings have other line breaks."""
+    """Return a help formatter that fills the lines of the terminal, because the line breaks of docstrings do not match."""
     from cyclopts.help import DefaultFormatter
     from rich.text import Text
 

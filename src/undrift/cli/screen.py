@@ -9,11 +9,11 @@ from undrift.base.workers import has_threads
 from undrift.report.terminal import console, say, wrap
 from undrift.screen import Screen
 
-INTERVAL_S = 8.0  # between lines of progress if stderr is not a terminal
+INTERVAL_S = 8.0  # time between lines of progress if stderr is not a terminal, s
 
 
 class Terminal(Screen):
-    """A bar of progress on a terminal. Elsewhere a line every 8 s. Both state the time left."""
+    """A progress bar on a terminal, or otherwise a line every 8 s. Both show the remaining time."""
 
     def __init__(self, command: str) -> None:
         from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -44,7 +44,7 @@ class Terminal(Screen):
         self._bar.stop()
 
     def progress(self, task: str, share: float) -> None:
-        if not self._begun:  # do not disturb the earlier content of the screen
+        if not self._begun:  # keep the earlier content of the screen
             self._begun = True
             self._bar.start()
             if not self._interactive and has_threads():

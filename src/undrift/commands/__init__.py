@@ -1,4 +1,4 @@
-"""One file per command: a function from options to a ``Report``.
+"""Commands, one file each: a function that turns options into a ``Report``.
 
 A command reads its inputs, checks its output files before the work begins, calls the stages, writes the files and
 returns its report. It prints and draws nothing. Parameters are the options of the command line, and the docstring is the

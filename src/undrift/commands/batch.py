@@ -1,9 +1,9 @@
-"""A command for many recordings: for several files, or for a folder of them, it is called once for each.
+"""Run a command on many recordings: for several files, or for a folder of recordings, it is called once for each recording.
 
-The output is then a folder with a file for each recording, in the same subfolders, and ``summary.csv``, which is written
-after each recording. A recording that fails has its error in its row, and the others continue. An error in a shared
-file, such as the calibration, ends the call. A second call skips a recording if its output exists, and its content, the
-options with their files and the version are those of its row.
+The output is then a folder with a file for each recording, in the same subfolders, and ``summary.csv``, which is written after each
+recording. If a recording fails, its row contains the error, and the others continue. An error in a shared file, such as the
+calibration, ends the call. A second call skips a recording if its output exists, and if content, options with their files and
+version equal those in its row.
 """
 
 import csv
@@ -40,7 +40,7 @@ COLUMNS = ("recording", "verdict", "result", "worst_finding", "output", "inputs"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Job:
-    """A recording, with its name in the table, the file to write and a hash of everything that it is made from."""
+    """A recording, with its name in the table, the output file and a hash of all its inputs."""
 
     name: str
     file: Path
@@ -49,7 +49,7 @@ class Job:
 
 
 def each_recording(ending: str, *, together: tuple[str, ...] = ()) -> Callable[[Command], Command]:
-    """Let a command of one recording take several, or a folder. Outputs are NAME and the ending; with "", there are none.
+    """Extend a command for one recording to several, or to a folder. Outputs have NAME and the ending, or are omitted with "".
 
     With one of the options ``together``, the command is called once with all files.
     """
@@ -85,7 +85,7 @@ def is_plain_folder(path: Path) -> bool:
 def _call_each(
     command: Command, paths: tuple[Path, ...], values: dict[str, Any], ending: str, scheduler: str | None
 ) -> Report:
-    """Call a command for each recording, or take the row of an earlier call."""
+    """Call a command for each recording, or reuse the row of an earlier call."""
     output, options = values.get("output"), {name: value for name, value in values.items() if name != "output"}
     files, others = _recordings(paths, output)
     shared = tuple(files_in(tuple(options.values())))
@@ -117,7 +117,7 @@ def _call_each(
 
 
 def _recordings(paths: tuple[Path, ...], output: Path | None) -> tuple[dict[str, Path], list[str]]:
-    """Return the recordings by their names in the table, and the names of other files."""
+    """Return the recordings by name in the table, and the names of other files."""
     files, others = dict[str, Path](), list[str]()
     for path in paths:
         for file in _files(path, output and output.resolve()) if is_plain_folder(path) else [path]:
@@ -135,7 +135,7 @@ def _recordings(paths: tuple[Path, ...], output: Path | None) -> tuple[dict[str,
 
 
 def _files(folder: Path, output: Path | None) -> Iterator[Path]:
-    """Yield the files of a folder and its subfolders, except hidden ones, results, and links that lead back."""
+    """Yield the files of a folder and its subfolders, except hidden files, results, and links that lead back."""
     for entry in sorted(folder.iterdir()):
         if entry.name.startswith(".") or entry.resolve() == output or entry.name == SUMMARY:
             continue
@@ -146,7 +146,7 @@ def _files(folder: Path, output: Path | None) -> Iterator[Path]:
 
 
 def _targets(files: dict[str, Path], output: Path | None, ending: str) -> dict[str, Path | None]:
-    """Return the file to write for each recording. walk.csv and walk.txt keep their endings, to differ."""
+    """Return the output file of each recording. Outputs of walk.csv and walk.txt keep these endings, so that they differ."""
     if output is None or not ending:
         return dict.fromkeys(files)
     short = {name: str(Path(name).with_name(name_of(Path(name)))) for name in files}
@@ -155,7 +155,7 @@ def _targets(files: dict[str, Path], output: Path | None, ending: str) -> dict[s
 
 
 def _rows(command: Command, jobs: Sequence[Job], options: dict[str, Any], scheduler: str | None) -> Iterator[Row]:
-    """Yield the row of each job, made here or by the workers of a Dask scheduler."""
+    """Yield the row of each job, computed here or by the workers of a Dask scheduler."""
     if scheduler is not None:
         make = partial(_row, command=command, options=options, folder=Path.cwd())
         with executor(None, scheduler) as spread:
@@ -170,7 +170,7 @@ def _rows(command: Command, jobs: Sequence[Job], options: dict[str, Any], schedu
 def _row(job: Job, *, command: Command, options: dict[str, Any], folder: Path | None = None) -> Row:
     """Return the verdict and the answer of a command for one recording, or its error."""
     if folder is not None:
-        os.chdir(folder)  # paths of the call are relative to its folder, also for a worker elsewhere
+        os.chdir(folder)  # paths of the call are relative to its folder, also for a remote worker
     row = dict.fromkeys(COLUMNS, "") | {"recording": job.name, "inputs": job.inputs}
     try:
         if job.target is not None:
@@ -213,7 +213,7 @@ def _finding(row: Row) -> Finding:
 
 
 def _read(path: Path) -> dict[str, Row]:
-    """Return the rows of an earlier call, or none if the file is missing or another table."""
+    """Return the rows of an earlier call, or no rows if the file is missing or is another table."""
     if not path.is_file():
         return {}
     with path.open(newline="", encoding="utf-8", errors="replace") as file:

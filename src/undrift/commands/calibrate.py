@@ -26,7 +26,7 @@ from undrift.report.figures import draw_recording
 from undrift.screen import progress, reading
 from undrift.units import RADIAN_PER_DEGREE
 
-NOTABLE_DRIFT = 1e-3  # relative drift of the clocks: a wrong clock of the table gives the scale factor the same error
+NOTABLE_DRIFT = 1e-3  # relative drift of the clocks: the clock of the table causes the same error of the scale factor
 PART = "kind"  # setting of a calibration's origin
 
 
@@ -53,23 +53,20 @@ def calibrate(
     turn_deg : float or None
         Angle of the turns between rests in bare recordings, deg, one or more about each axis: 360 for full turns.
     rates : Path or None
-        Log of a rate table's own controller: time_s (or time_ms, time_us) and turn_rate_dps (or turn_rate_rad_s,
-        turn_rate_rpm) or angle_deg (or angle_rad, angle_turns). Its clock is aligned with the recordings. Its steady
-        dwells become the turns.
+        Log of the rate table's controller: time_s (or time_ms, time_us) and turn_rate_dps (or turn_rate_rad_s, turn_rate_rpm) or
+        angle_deg (or angle_rad, angle_turns). Its clock is aligned with the recordings. Its steady dwells become the turns.
     output : Path or None
         calibration.json to write.
     calibrate_from : str
-        "pieces" uses rests, faces and turns. "motion" uses only gravity while the device is turned or worn, for 20 s or
-        more.
+        "pieces" uses rests, faces and turns. "motion" uses only gravity while the device is turned or worn, for 20 s or more.
     kind : str or None
-        Preset of the device's part, as mpu6050: its sensitivity to temperature, and the lag of its thermometer, are the prior.
+        Preset of the device's part, such as mpu6050. Its temperature sensitivity and the lag of its thermometer are used as prior.
     magnetometer : bool
-        With --from motion: fits hard and soft iron of the magnetometer, and its alignment to the gyroscopes.
+        With --from motion, also fit hard and soft iron of the magnetometer, and its alignment to the gyroscopes.
     accel : str or None
-        How to calibrate the accelerometers. By default, the session determines the method.
+        Method of the accelerometers. By default, the session determines it.
     gyro : str or None
-        How to calibrate the gyroscopes. By default, the session determines the method. "rest" fits only their offset.
-        "none" omits them.
+        Method of the gyroscopes. By default, the session determines it. "rest" fits only their offset. "none" omits them.
     mode : str or None
         paper (the note's equations to the letter) or affine.
     """
@@ -86,7 +83,7 @@ def calibrate(
     with reading(0.5, *files):
         session = session_of(files, place, opening)
     if kind is not None:
-        from undrift.sim.device.presets import sensitivity_of  # not for help, which answers at once
+        from undrift.sim.device.presets import sensitivity_of  # imported here for a quick --help
 
         session = replace(session, sensitivity=sensitivity_of(kind))
     progress("fitting", 0.5)
@@ -138,7 +135,7 @@ def _lacking(session: Session, calibration: Calibration) -> Iterator[str]:
 
 
 def _turns_of_log(session: Session, path: Path, settings: CalibrateSettings) -> tuple[Session, Table]:
-    """Return bare recordings with their rests and the dwells of a table's log, and how the clocks were aligned."""
+    """Return bare recordings with their rests and the dwells of a table's log, and the alignment of the clocks."""
     if session.turns or session.stills:
         raise InputError(f"--rates: expected recordings, got a session with its own rests or turns. Omit {path}.")
     log = read_rate_log(path)
@@ -163,7 +160,7 @@ def _turns_of_log(session: Session, path: Path, settings: CalibrateSettings) -> 
 
 
 def _motion_offsets(session: Session, motion: InMotion) -> Table:
-    """Return the offset of each recording, and how the body's own acceleration disturbed it."""
+    """Return the offset of each recording, and the disturbance by the body's acceleration."""
     offsets, uncertainty = motion.offsets / RADIAN_PER_DEGREE, motion.offset_uncertainty / RADIAN_PER_DEGREE
     columns = ("recording", "x (deg/s)", "y (deg/s)", "z (deg/s)", "u (deg/s)", "acceleration (m/s2)")
     rows = [
@@ -172,12 +169,12 @@ def _motion_offsets(session: Session, motion: InMotion) -> Table:
             _names(session, len(offsets)), offsets, uncertainty, motion.acceleration, strict=True
         )
     ]
-    note = "u: standard uncertainty of the least certain axis. Acceleration: the rest of the body's motion in means of 5 s."
+    note = "u: standard uncertainty of the least certain axis. Acceleration: what remains of the body's motion in means over 5 s."
     return Table(title="Gyroscope offset of each recording", columns=columns, rows=rows, form=".3f", note=note)
 
 
 def _recordings(session: Session, pieces: tuple[Piece, ...]) -> Table:
-    """Return how much of each recording the fit used."""
+    """Return the part of each recording that the fit used."""
     rows = []
     for k, (name, record) in enumerate(zip(_names(session, len(session.records)), session.records, strict=True)):
         used = [piece for piece in pieces if piece.recording == k and not piece.why]

@@ -14,7 +14,7 @@ from undrift.io.store import read_calibration
 from undrift.report import Report
 from undrift.report.certificate import BY_HAND, certificate_report, write_certificate
 
-LONGEST = 200  # characters of an entry
+LONGEST = 200  # largest number of characters of an entry
 LIMITS = tuple(  # keys of a file of limits
     f"{name}_{key}"
     for name, offset in (("gyro", "offset_dps"), ("accel", "offset_mg"))
@@ -34,7 +34,7 @@ class Statement:
     laboratory : str
         Name and address of the laboratory.
     operator : str
-        Who calibrated.
+        Name of the person who calibrated.
     """
 
     number: str = ""
@@ -42,7 +42,7 @@ class Statement:
     operator: str = ""
 
     def entries(self) -> Mapping[str, str]:
-        """Return the entries by their labels on the page, empty if not given."""
+        """Return the entries by their labels on the page. Missing entries are empty."""
         labels = {"number": "Certificate number", "laboratory": "Laboratory", "operator": "Calibrated by"}
         for name in labels:
             if not (text := getattr(self, name)).isprintable() or len(text) > LONGEST:
@@ -82,12 +82,12 @@ def certificate(
 
 
 def read_limits(path: Path) -> dict[str, float]:
-    """Return the limits of a file by their keys in ``LIMITS``."""
+    """Return the limits in a file, by their keys in ``LIMITS``."""
     try:
         limits = tomllib.loads(checked_file(path).read_text(encoding="utf-8"))
     except ValueError as error:
         raise InputError(
-            f"{path}: expected limits as TOML, got {error}. Write for example accel_offset_mg = 50."
+            f"{path}: expected limits as TOML, got {error}. For example, write accel_offset_mg = 50."
         ) from error
     for key, limit in limits.items():
         if key not in LIMITS or not isinstance(limit, int | float) or not 0.0 < limit < math.inf:

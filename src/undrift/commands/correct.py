@@ -1,4 +1,4 @@
-"""``undrift correct``: recordings in rad/s and m/s2, of any size, in constant memory."""
+"""``undrift correct``: convert recordings of any size to rad/s and m/s2, in constant memory."""
 
 from collections.abc import Iterator
 from concurrent.futures import Future
@@ -35,7 +35,7 @@ from undrift.report import Report, Table
 from undrift.report.figures import draw_record
 from undrift.screen import progress, reading
 
-READ = 0.8  # share of the time when a recording without a known length is read
+READ = 0.8  # reported progress while a recording of unknown length is read
 NOT_COVERED = ("outside", "extrapolated", "without_temperature")  # kinds of samples that the tuning tables do not cover
 
 
@@ -62,8 +62,8 @@ def correct(
     calibration : Path
         calibration.json of the device, or a folder of calibrations: the newest one with the recording's serial number.
     output : Path
-        File for a single recording: .parquet, .csv or .csv.gz. Parquet needs constant memory. Folder for several
-        recordings, created if it is missing.
+        File for a single recording: .parquet, .csv or .csv.gz. Parquet needs constant memory. Folder for several recordings, which
+        is created if necessary.
     power_on_s : float or None
         Time since power-on at the first sample of each recording, s. Without it, no warm-up is subtracted.
     policy : str
@@ -104,7 +104,7 @@ def correct(
         tables=[_coverage(reach)],
         notes=list(dict.fromkeys(reader.notes)),
         findings=[*reader.findings, *findings],
-        figures=[lambda: draw_record(next(iter_record(output)))],  # the beginning of a long one
+        figures=[lambda: draw_record(next(iter_record(output)))],  # only the beginning of a long recording
         written=[output],
         data={"recording": str(recording), "samples": reach.samples, **counts, "rest": remaining and remaining.figures},
         next_command=() if model.gyro is None else _next_command(output),
@@ -128,7 +128,7 @@ def _answer(reach: Reach) -> str:
 
 
 def _coverage(reach: Reach) -> Table:
-    """Return how much of the recording the tuning tables do not cover."""
+    """Return the parts of the recording that the tuning tables do not cover."""
     rows = [
         (kind.replace("_", " "), count, getattr(reach, f"seconds_{kind}"))
         for kind in NOT_COVERED
@@ -149,13 +149,13 @@ def _next_command(output: Path) -> tuple[object, ...]:
 def _correct(
     reader: Reader, recording: Path, output: Path, stream: Corrector, made_by: dict[str, object]
 ) -> list[Finding]:
-    """Correct a recording into a file, chunk by chunk if the file takes chunks. Return what speaks against it."""
+    """Correct a recording into a file, chunk by chunk if the format permits this. Return findings against the result."""
     findings, chunked = dict[tuple[object, ...], Finding](), output.name.endswith(".parquet")
     total = parquet_rows(recording) if detect(recording) == "parquet" else None
     with (
         reading(READ, recording),
         ParquetWriter(output) if chunked else nullcontext() as writer,
-        threads(1) as pool,  # writes a chunk while the next chunk is corrected
+        threads(1) as pool,  # a second thread writes a chunk while the next one is corrected
     ):
         write = writer.write if writer else partial(write_record_as, path=output, made_by=made_by)
         written: Future[Any] = pool.submit(bool)
@@ -167,7 +167,7 @@ def _correct(
                 with named_columns(recording):
                     check_force(corrected.record)
                     signs += _signs(corrected.record, reader.calibration[0], chunk)
-            for item in signs:  # each once, over all chunks
+            for item in signs:  # each finding once, over all chunks
                 findings.setdefault((item.code, item.values.get("channel"), item.values.get("axis")), item)
             written.result()
             written = pool.submit(write, corrected.record)

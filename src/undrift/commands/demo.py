@@ -50,10 +50,10 @@ RUNS = ("bench", "thermal")  # folders of an earlier demo
 FILES = ("trial.parquet", "reference.parquet", "calibration.json", "corrected.parquet", "report.html")
 RECORDED, FITTED = 0.75, 0.9  # progress of the demo after recording, and after fitting
 BENCH = (
-    "Device: three ENC-03J-like gyroscopes and three 3031-like accelerometers, 12 bits, an LM335-like thermometer: the "
-    "note's, whose offset drifts by 0.1 deg/s per kelvin. Table: the note's servo, with its control loop, encoder and "
-    "amplifier. A run drives them as it drives hardware. Simulated time does not wait for this computer. The chamber heats "
-    "by 10 K a second and the board follows within seconds. A set-point counts as reached after "
+    "Device: three ENC-03J-like gyroscopes and three 3031-like accelerometers, 12 bits and an LM335-like thermometer, as in the "
+    "note. Its offset drifts by 0.1 deg/s per kelvin. Table: the note's servo, with its control loop, encoder and "
+    "amplifier. A run drives them like hardware. Simulated time does not depend on this computer. The chamber heats by 10 K per "
+    "second, and the board follows within seconds. A set-point counts as reached after "
     f"{SOAK.window_s:g} s within {SOAK.tolerance_c:g} K and {SOAK_C_PER_MIN:g} K/min. A real chamber needs 0.1 K/min "
     "over five minutes."
 )
@@ -67,7 +67,7 @@ def demo(*, out: Annotated[Path, WRITTEN] = Path("demo"), quick: Flag = False) -
     out : Path
         Folder for the runs, calibration.json, the corrected trial, summary.json and report.html.
     quick : bool
-        Fewer rates and set-points: 20 seconds in place of 60.
+        Use fewer rates and set-points, which takes 20 seconds instead of 60.
     """
     _check_fresh(out)
     device = bench_device()
@@ -90,7 +90,7 @@ def demo(*, out: Annotated[Path, WRITTEN] = Path("demo"), quick: Flag = False) -
 
 
 def _check_fresh(out: Path) -> None:
-    """Refuse a folder with other files, and delete the runs of an earlier demo, also of an interrupted one."""
+    """Raise for a folder with other files, and delete the runs of an earlier demo, even if it was interrupted."""
     check_folder(out)
     names = {path.name for path in out.iterdir()} if out.is_dir() else set()
     with suppress(OSError, ValueError, AttributeError):

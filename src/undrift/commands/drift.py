@@ -38,14 +38,14 @@ def drift(
     sessions : Path
         One or more thermal sessions of the device: folders with session.toml, recordings at rest while the temperature
         changes, or daily recordings with a rest in each. Several sessions are combined, and their differences count as
-        uncertainty. Each recording is a session, with a switch-on of its own.
+        uncertainty. Each recording is a session with a separate switch-on.
     calibration : Path or None
-        calibration.json of the device, or a folder of calibrations: the newest one with its serial number. Without it
-        physical units keep their nominal scale, and counts are refused.
+        calibration.json of the device, or a folder of calibrations: the newest one with its serial number. Without it, physical
+        units keep their nominal scale, and counts are refused.
     output : Path or None
         calibration.json to write, with the tables. It may be the input file.
     step_c : float
-        Step between nodes, degC. They span the recorded range, and reach 18 and 75 degC if these are at most 3 degC away.
+        Step between nodes, degC. The nodes span the recorded range, and extend to 18 or 75 degC if this is at most 3 degC away.
     spline : str
         smooth (stiffness by restricted likelihood), or not-a-knot (through the set-points, as the note does).
     tables : str
@@ -59,7 +59,7 @@ def drift(
         static=StaticSettings(not_a_knot=spline == "not-a-knot", warm_up=warm_up),
     )
     reads = (*(path for path in sessions if path.exists()), opening.column_map)
-    check_output(output, endings=(".json",), reads=reads)  # may be the calibration that was read: it is written whole
+    check_output(output, endings=(".json",), reads=reads)  # may be the input, as it is written atomically
     reader, read = Reader(opening, calibration, sessions), list[Session]()
     for k, path in enumerate(sessions):
         with part(0.4 * k / len(sessions), 0.4 * (k + 1) / len(sessions)), reading(1.0, path):
@@ -85,11 +85,11 @@ def _notes(fit: DriftFit, model: Calibration | None, path: Path | None) -> Itera
     if drift is not None and drift.lag_s > 0.0:
         yield f"The lag of the thermometer, {drift.lag_s:.3g} s, was removed."
     if model is not None:
-        yield f"The calibration {path} has {len(without_tables(model).verdict.reasons)} findings of its own."
+        yield f"The calibration {path} has {len(without_tables(model).verdict.reasons)} earlier findings."
 
 
 def _next_command(recording: Path | None, session: Session, fit: DriftFit, output: Path) -> tuple[object, ...]:
-    """Return how to correct a recording with the tables: from power-on with a warm-up model, and held outside the range."""
+    """Return the command that corrects a recording with the tables, from power-on if there is a warm-up model."""
     static = None if fit.calibration.drift is None else fit.calibration.drift.static
     command, temp_c = list[str](), session.records[0].temp_c
     if static is not None and static.warm_up is not None:

@@ -1,4 +1,4 @@
-"""``undrift export``: what firmware and other programs read."""
+"""``undrift export``: write a calibration for firmware and other programs."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -35,7 +35,7 @@ def export(
         The output file. For c it is the header, with the source next to it. For constants it is .json or a C header .h.
         For arduino it is a new folder, the library.
     options : ExportOptions
-        Options that some targets take.
+        Options of some targets.
     """
     from undrift.export.arduino import write_arduino
     from undrift.export.c import write_c

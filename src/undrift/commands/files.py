@@ -53,13 +53,13 @@ class Opening:
     Parameters
     ----------
     column_map : Path or None
-        TOML file with columns, units and other properties of a foreign table: undrift info FILE --write-map writes it. With
-        undrift's own column names only sample_rate_hz, gaps, clock, repair_time or drop_bad_rows, without columns. Overrules the
-        map that a calibration keeps.
+        TOML file with columns, units and other properties of a foreign table, as written by undrift info FILE --write-map. For
+        undrift's own column names, it contains only sample_rate_hz, gaps, clock, repair_time or drop_bad_rows. It overrides the map
+        stored in a calibration.
     sample_rate_hz : float or None
         Samples per second, for a file without time. Overrides the map.
     sensor : str or None
-        Which sensor, stream or topic, in a file of several.
+        Sensor, stream or topic, for a file with several.
     """
 
     column_map: Annotated[Path | None, Parameter(name="--map")] = None
@@ -73,13 +73,13 @@ class Opening:
         return {key: value for key, value in keys.items() if value is not None}
 
     def file_map(self) -> FileMap | None:
-        """Return the named map with the options over it, or None without any."""
+        """Return the given map, overridden with the options, or None without map and options."""
         if self.column_map is not None:
             return file_map_of(read_map(self.column_map, **self.keys))
         return file_map_of(ColumnMap(**self.keys)) if self.keys else None
 
     def how(self, path: Path, stored: FileMap | None = None) -> ColumnMap:
-        """Return how to read a file: by the named map, else as it is, else by the map that a calibration stores."""
+        """Return the map for a file: the given map, or none if the file needs none, or the map that a calibration stores."""
         if self.column_map is not None:
             return one_map(read_map(self.column_map, **self.keys))
         stored_map = map_of(stored)
@@ -91,7 +91,7 @@ class Opening:
 @options
 @dataclass(frozen=True, kw_only=True)
 class NamedRest:
-    """A stretch at rest that is named in place of the first still phase.
+    """A stretch at rest that replaces the first still phase.
 
     Parameters
     ----------
@@ -103,17 +103,17 @@ class NamedRest:
 
     @property
     def ends_s(self) -> tuple[float, float] | None:
-        """Start and stop of the named stretch, s, or None without a name."""
+        """Return start and stop of the given stretch, s, or None if none was given."""
         if self.rest_s is None:
             return None
         start, _, stop = self.rest_s.partition(":")
         with suppress(ValueError):
             if float(start) < float(stop):
                 return float(start), float(stop)
-        raise InputError(f"`rest_s`: expected START:STOP in s, got '{self.rest_s}'. Write, for example, 15:35.")
+        raise InputError(f"`rest_s`: expected START:STOP in s, got '{self.rest_s}'. For example, write 15:35.")
 
     def still_in(self, record: Record) -> Still | None:
-        """Return the named stretch of a recording, or None if none was named."""
+        """Return the given stretch of a recording, or None if none was given."""
         if self.ends_s is None:
             return None
         (start_s, stop_s), first, last = self.ends_s, float(record.time[0]), float(record.time[-1])
@@ -159,7 +159,7 @@ class Place:
 
 
 class Reader:
-    """Reads the recordings of a command by its options, and by the map and the constants of their calibration.
+    """Reader of a command's recordings, with its options and with map and constants of the calibration.
 
     The calibration is a file, or the newest one in a folder with the serial number of the recordings.
     """
@@ -182,13 +182,13 @@ class Reader:
         session = read_session(path)
         if len(session.records) > 1:
             raise InputError(
-                f"{path}: expected one recording, got a session of {len(session.records)}. Name one of its files."
+                f"{path}: expected one recording, got a session of {len(session.records)}. Give one of its files."
             )
         self.notes += session.notes
         return session.records[0]
 
     def chunks(self, path: Path) -> Iterator[Record]:
-        """Read a recording in chunks if it is a Parquet file, for constant memory. Read others whole."""
+        """Read a Parquet file in chunks, for constant memory. Read other recordings whole."""
         with self._naming_map(path):
             how = None if detect(path) == "session" else self.how(path)
         if how is None or not is_streamed(path, how):
@@ -201,7 +201,7 @@ class Reader:
             yield from iter_record(path, how)
 
     def corrected(self, record: Record, path: Path) -> Record:
-        """Return the readings corrected by the calibration. Without one, refuse counts and volts."""
+        """Return the readings corrected with the calibration. Without a calibration, raise for counts and volts."""
         if self.model is None:
             check_physical(record, path)
             return record
@@ -212,7 +212,7 @@ class Reader:
         return corrected.record
 
     def calibrated_part(self, record: Record) -> Record:
-        """Leave out, with a note, the triad that stays in counts or volts because the calibration has no model of it."""
+        """Omit, with a note, a triad that remains in counts or volts because the calibration has no model of it."""
         model = self.model
         if model is None or record.gyro is None or record.accel is None or (model.gyro is None and model.accel is None):
             return record
@@ -229,7 +229,7 @@ class Reader:
     def calibration(self) -> tuple[Calibration, Path]:
         """Return the calibration and its file, for a command that needs one."""
         if self.model is None or self.path is None:
-            raise InputError("expected a calibration, got none. Name it with `calibration`.")
+            raise InputError("expected a calibration, got none. Give it with `calibration`.")
         return self.model, self.path
 
     def mounting(self, forward: str | None, up: str | None) -> BodyMounting | None:
@@ -237,12 +237,12 @@ class Reader:
         return None if self.model is None or forward or up else self.model.mounting
 
     def how(self, path: Path) -> ColumnMap:
-        """Return how to read a file."""
+        """Return the map for a file."""
         return self.opening.how(path, None if self.model is None else self.model.file_map)
 
     @contextmanager
     def _naming_map(self, path: Path) -> Iterator[None]:
-        """Name file and calibration in the error of a file that does not fit the map of the calibration."""
+        """Add file and calibration to the error about a file that does not match the map of the calibration."""
         try:
             yield
         except InputError as error:
@@ -250,14 +250,14 @@ class Reader:
                 raise
             text = str(error).removeprefix(f"{path}: ")
             raise InputError(
-                f"{path}: the file does not match the map stored in {self.path} for its device: {text}. Name another map "
-                "with `column_map`.",
+                f"{path}: the file does not match the map stored in {self.path} for its device: {text}. Give another map with "
+                f"`column_map`.",
                 **error.numbers,
             ) from error
 
 
 def _newest(folder: Path, serials: set[str]) -> tuple[Path, str]:
-    """Return the newest calibration of a device in a folder and its subfolders, and a note that names it."""
+    """Return the newest calibration of a device in a folder and its subfolders, and a note about the choice."""
     if len(serials) > 1:
         raise InputError(
             f"{folder}: the recordings are of several devices ({', '.join(sorted(serials))}), and one calibration is "
@@ -269,13 +269,13 @@ def _newest(folder: Path, serials: set[str]) -> tuple[Path, str]:
     if not dates:
         others = ", ".join(sorted({model.device or "without serial number" for model in models.values()}))
         raise InputError(
-            f"{folder}: no calibration of {serial} in this folder. It contains {others or 'no calibration'}. Name the file."
+            f"{folder}: no calibration of {serial} in this folder. It contains {others or 'no calibration'}. Give the file."
         )
     newest = [path for path, date in dates.items() if date == max(dates.values())]
     if len(newest) > 1:
         names = ", ".join(str(path.relative_to(folder)) for path in newest)
         raise InputError(
-            f"{folder}: several newest calibrations of {serial} have the same date: {names}. Name one of these files."
+            f"{folder}: several newest calibrations of {serial} have the same date: {names}. Give one of these files."
         )
     date = dates[newest[0]]
     origin = "without a date" if date == NO_DATE else f"of {date:%Y-%m-%d}"
@@ -307,28 +307,28 @@ def _serial_of(recording: Path, opening: Opening) -> str:
     if detect(recording) == "session":
         serial = read_session(recording).serial
     elif opening.column_map is None and needs_map(recording):
-        serial = ""  # a table of other columns: only a map could name its device
+        serial = ""  # a table with foreign columns, whose device only a map could contain
     else:
         serial = next(Reader(opening).chunks(recording)).device
     if not serial:
         raise InputError(
-            f"{recording}: the recording does not state the serial number of its device, so no calibration can be selected from a "
-            "folder. Name the file with `calibration`."
+            f"{recording}: the recording does not contain the serial number of its device, so no calibration can be selected from "
+            f"a folder. Give the file with `calibration`."
         )
     return serial
 
 
 def calibration_findings(model: Calibration | None) -> list[Finding]:
-    """Return one finding in place of those of a calibration whose verdict is not good."""
+    """Return a single finding for a calibration whose verdict is not good."""
     if model is None or model.verdict.status == "good":
         return []
     level: Level = "fail" if model.verdict.status == "bad" else "warn"
     sentence = f"The verdict of the calibration is {model.verdict.status}."
-    return [finding("calibration.verdict", level, sentence, "Read its findings with undrift info.")]
+    return [finding("calibration.verdict", level, sentence, "To read its findings, use undrift info.")]
 
 
 def check_physical(record: Record, path: Path) -> None:
-    """Refuse counts and volts of a recording that no calibration gives a physical unit."""
+    """Raise for counts and volts that no calibration converts to a physical unit."""
     for name, values, unit in (("gyro", record.gyro, record.gyro_unit), ("accel", record.accel, record.accel_unit)):
         if values is not None and not is_physical(unit):
             raise InputError(
@@ -351,13 +351,13 @@ def named_columns(path: Path) -> Iterator[None]:
 
 
 def session_folder(path: Path) -> Path | None:
-    """Return the folder of a session that is named by its folder or its session.toml, or None."""
+    """Return the folder of a session given as its folder or its session.toml, or None."""
     folder = path.parent if path.name == NAME else path
     return folder if path.name == NAME or (path / NAME).is_file() else None
 
 
 def session_of(files: tuple[Path, ...], place: Place, opening: Opening, *, kind: Kind = "calibration") -> Session:
-    """Read a session folder, or make a session of bare recordings."""
+    """Read a session folder, or create a session from bare recordings."""
     named = [file for file in files if session_folder(file) is not None]
     if not named:
         for folder in (file for file in files if file.is_dir() and not is_recording(file)):
@@ -365,8 +365,8 @@ def session_of(files: tuple[Path, ...], place: Place, opening: Opening, *, kind:
         return session_from_files(files, opening.file_map(), kind=kind, **asdict(place))
     if len(files) > 1:
         raise InputError(
-            f"{named[0]}: expected one session, or recordings, got a session and {len(files) - 1} more. Name only the "
-            "session, or list the recordings in its session.toml."
+            f"{named[0]}: expected one session, or recordings, got a session and {len(files) - 1} more. Give only the session, or "
+            f"list the recordings in its session.toml."
         )
     session = read_session(named[0])
     fixed = asdict(opening) | {"serial": place.serial or None}
@@ -376,7 +376,7 @@ def session_of(files: tuple[Path, ...], place: Place, opening: Opening, *, kind:
     if used:
         raise InputError(f"{named[0]}: {', '.join(used)} cannot be used with a session. Set them in its session.toml.")
     if session.gravity_source == "standard":
-        # a latitude without a height is that of the rate table
+        # a latitude without a height applies to the rate table
         latitude_deg = None if place.height_m is None else place.latitude_deg
         gravity_m_s2, source = gravity_of(place.gravity_m_s2, latitude_deg, place.height_m)
         session = replace(session, gravity_m_s2=gravity_m_s2, gravity_source=source)
@@ -384,7 +384,7 @@ def session_of(files: tuple[Path, ...], place: Place, opening: Opening, *, kind:
 
 
 def states_gravity(path: Path) -> bool:
-    """Return True if a session.toml states local gravity."""
+    """Return True if a session.toml contains local gravity."""
     return read_session(path).gravity_source != "standard"
 
 
@@ -413,7 +413,7 @@ def is_recording(path: Path) -> bool:
 
 
 def recording_of(files: tuple[Path, ...]) -> Path | None:
-    """Return a recording for the next command: the first one. Return None if it consists of two files."""
+    """Return the first recording, for the next command, or None if it consists of two files."""
     folder = session_folder(files[0])
     if folder is None:
         return files[0]
@@ -422,7 +422,7 @@ def recording_of(files: tuple[Path, ...]) -> Path | None:
 
 
 def recordings_of(files: tuple[Path, ...], opening: Opening) -> tuple[tuple[Path, ...], Session | None]:
-    """Return the named recordings, or the recordings of the named session and the session."""
+    """Return the given recordings, or the recordings of the given session, and the session."""
     folder = session_folder(files[0])
     if folder is None:
         return files, None
@@ -450,10 +450,10 @@ class Optics:
     Parameters
     ----------
     reference : Path
-        The reference of each recording, in the same order. Recordings that contain poses (time_s, q_w ... q_z) need
-        none.
+        The reference of each recording, in the same order. Recordings that contain poses (time_s, q_w ... q_z) do not need a
+        reference.
     reference_map : Path or None
-        Map of a table of orientations under other names than undrift's own, as `info` proposes it.
+        Map of a table of orientations with foreign column names, as proposed by `info`.
     markers : str or None
         Labels of a rigid cluster, separated by commas, for C3D and TRC.
     """
@@ -466,7 +466,7 @@ class Optics:
     def pairs(
         self, records: tuple[Path, ...], reader: Reader, *, command: str, session: Session | None = None
     ) -> list[tuple[Record, Reference]]:
-        """Read recordings, or use the recordings of a session, and read the reference of each."""
+        """Read recordings, or use the recordings of a session, and read the reference of each recording."""
         paths = self.reference
         if not paths and all(holds_poses(record) for record in records):
             paths = records

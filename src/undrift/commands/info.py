@@ -1,4 +1,4 @@
-"""``undrift info``: the content of a file: rates, units, spans, gaps, stills, problems, and the map it needs."""
+"""``undrift info``: describe the content of a file: rates, units, spans, gaps, stills, problems, and the map that it needs."""
 
 import tomllib
 from collections.abc import Iterator
@@ -38,7 +38,7 @@ AT_REST: tuple[tuple[str, Quantity, str, str, float], ...] = (
     ("accel", "accel", "acceleration at rest", "g", STANDARD_GRAVITY),
     ("gyro", "rate", "turn rate at rest", "deg/s", RADIAN_PER_DEGREE),
 )
-POSES = 9  # still phases of a recording that may calibrate a device
+POSES = 9  # smallest number of still phases of a recording that may calibrate a device
 DATA = (
     "kind",
     "format",
@@ -64,14 +64,14 @@ def info(
     write_session: WrittenPath = None,
     turn_deg: float | None = None,
 ) -> Report:
-    """Describe a recording, session, calibration, reference or device: rates, units, spans, gaps, stills found.
+    """Describe a recording, session, calibration, reference or device: rates, units, spans, gaps and detected stills.
 
     Parameters
     ----------
     files : Path
         Any file, or a folder of recordings. With --write-session, recordings of the same device.
     write_map : Path or None
-        Map to write for a table with foreign columns, each unit with its reason: .toml.
+        Map to write for a table with foreign columns, with the reason for each unit: .toml.
     gyro_unit : str or None
         With --write-map: unit of the gyroscopes if the file does not give it: rad/s, dps, count or v.
     accel_unit : str or None
@@ -92,7 +92,7 @@ def info(
     if write_session is not None:
         return _write_session(files, write_session, opening, turn_deg)
     if len(files) > 1:
-        raise InputError(f"info: expected one table for `write_map`, got {len(files)}. Name only one.")
+        raise InputError(f"info: expected one table for `write_map`, got {len(files)}. Give only one.")
     file = files[0]
     check_output(write_map, endings=(".toml",), reads=(file, opening.column_map))
     with reading(0.8, file):
@@ -109,8 +109,8 @@ class Looked:
     serial: str
     columns: tuple[str, ...]
     missing: str  # setting that a reader requires: sample_rate_hz, sensor, or ""
-    draft: dict[str, Any]  # map that a table of foreign names seems to need
-    reasons: dict[str, str]  # why a unit is proposed
+    draft: dict[str, Any]  # proposed map of a table with foreign names
+    reasons: dict[str, str]  # reason why a unit is proposed
     report: Report
 
 
@@ -189,7 +189,7 @@ def content(description: Description, opening: Opening) -> Report:
 
 
 def _named(description: Description) -> Iterator[Finding]:
-    """Yield the findings that the answer does not tell, each with the recording of a session that it is about."""
+    """Yield the findings that the answer does not contain, each with the number of its recording in a session."""
     for finding in description.findings:
         if "recording" in finding.values:
             yield replace(finding, sentence=f"Recording {finding.values['recording']}: {finding.sentence}")
@@ -218,7 +218,7 @@ def _facts(description: Description, stills: int, at_rest: list[tuple[str, Cell,
 
 
 def _at_rest(observed: Observed) -> list[tuple[str, Cell, str]]:
-    """Return the median size of the readings at rest. If columns and units are right, it is 1 g and nearly no rate."""
+    """Return the median size of the readings at rest. If columns and units are right, it is 1 g and almost no rate."""
     rows = list[tuple[str, Cell, str]]()
     for name, quantity, label, unit, size in AT_REST:
         means = list[float]()
@@ -297,7 +297,7 @@ def _next_command(description: Description, stills: int, opening: Opening) -> tu
 
 
 def _options(opening: Opening) -> tuple[object, ...]:
-    """Return the options of reading as they were given."""
+    """Return the options for reading as they were given."""
     values = {"map": opening.column_map, **opening.keys}
     given = ((f"--{name.replace('_', '-')}", value) for name, value in values.items() if value is not None)
     return tuple(word for pair in given for word in pair)
@@ -307,7 +307,7 @@ def _options(opening: Opening) -> tuple[object, ...]:
 
 
 def _write_map(description: Description, path: Path, units: dict[str, str | None], opening: Opening) -> Report:
-    """Write the map that a table seems to need, each unit with its reason."""
+    """Write the proposed map of a table, with the reason for each unit."""
     if description.proposal is None:
         raise InputError(
             f"{description.path}: no map can be proposed for a {description.kind} ({description.format}): "
@@ -334,7 +334,7 @@ def _write_session(files: tuple[Path, ...], path: Path, opening: Opening, turn_d
     folder = path.parent if path.name == NAME else path
     check_folder(folder)
     if (folder / NAME).exists():
-        raise InputError(f"{folder / NAME}: the session exists already. Edit it, or choose another folder.")
+        raise InputError(f"{folder / NAME}: the session already exists. Edit it, or choose another folder.")
     if any(session_folder(file) is not None for file in files):
         raise InputError(f"{files[0]}: expected recordings without a session, got a session. Edit its session.toml.")
     with reading(0.5, *files):

@@ -1,4 +1,4 @@
-"""``undrift mount``: from device axes to body axes."""
+"""``undrift mount``: determine the rotation from device axes to body axes."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -27,26 +27,25 @@ def mount(
     output: OptionalOutput = None,
     opening: Opening = Opening(),
 ) -> Report:
-    """Find how a device is worn: device axes to body axes.
+    """Determine how a device is worn: the rotation from device axes to body axes.
 
     Parameters
     ----------
     records : Path
-        Recordings without taking the device off: stand upright for 3 s, walk straight ahead for 8 s and halt, four
-        times.
+        Recordings in which the device is not taken off: stand upright for 3 s, walk straight ahead for 8 s and halt, four times.
     worn : str
         Body segment on which the device is worn.
     movement : str
         Movement that determines forward: walk, or bow (the trunk leans forward).
     calibration : Path or None
-        calibration.json of the device, for a raw recording, and to keep the mounting in.
+        calibration.json of the device, for raw recordings, and as input for the output file.
     output : Path or None
         calibration.json with the mounting.
     """
     check_output(output, endings=(".json",), reads=(*records, opening.column_map))
     if output and not calibration:
         raise InputError(
-            f"{output}: expected a calibration to add the mounting to, got none. Name it with `calibration`."
+            f"{output}: expected a calibration to which the mounting is added, got none. Give it with `calibration`."
         )
     reader, readings = Reader(opening, calibration, records), list[Record]()
     model = reader.model
@@ -55,7 +54,7 @@ def mount(
         readings.append(reader.corrected(reader.read(path), path))
     progress("finding steps and stances", 0.5)
     fit = find_mounting(readings, worn, movement)
-    title, findings = f"Mounting by {', '.join(path.name for path in records)}", fit.verdict.findings
+    title, findings = f"Mounting from {', '.join(path.name for path in records)}", fit.verdict.findings
     mounting = fit.mounting
     if mounting is None:
         answer = "The recordings do not determine how the device is worn. No file was written."

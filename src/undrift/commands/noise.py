@@ -15,7 +15,7 @@ from undrift.report.report import Cell
 from undrift.screen import progress, reading
 from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical
 
-AFTER_S = 60.0  # after a rest of the same length
+AFTER_S = 60.0  # durations of the motion, after a rest of the same duration
 COVERAGE = 2.0
 DEG_PER_H, UG = 3600.0 / RADIAN_PER_DEGREE, 1e6 / STANDARD_GRAVITY  # factors from rad/s and from m/s2
 DATA_SHEET = {  # unit of data sheets, and factor; 60 sqrt(s) are 1 sqrt(h)
@@ -43,7 +43,7 @@ def noise(
     record : Path
         Recording at rest, for hours rather than minutes.
     calibration : Path or None
-        calibration.json: turns counts into rad/s and m/s2 first.
+        calibration.json, which converts counts to rad/s and m/s2 first.
     """
     reader = Reader(opening, calibration, (record,))
     with reading(0.3, record):
@@ -91,7 +91,7 @@ def _answer(fit: NoiseFit) -> str:
         parts.append(f"An inclination from 1 s at rest is good to {tilt:.2g} deg (95 %).")
     if parts:
         return " ".join(parts)
-    return f"{fit.duration_s:.4g} s at rest show the noise in the unit of the readings. A calibration converts it to degrees."
+    return f"{fit.duration_s:.4g} s at rest determine the noise in the unit of the readings. A calibration converts it to degrees."
 
 
 def _angle(axis: AxisNoise) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""``undrift bench``: the guided page in a browser."""
+"""``undrift bench``: open the guided page in a browser."""
 
 import secrets
 import sys
@@ -33,7 +33,7 @@ def bench(
     token : str
         Access token, at least 16 characters. Default: generated and included in the printed address. "none" disables it.
     upload_mb : float
-        Largest size of files that are sent together, MB.
+        Largest total size of files that are sent together, MB.
     no_browser : bool
         Do not open a browser.
     """
@@ -52,7 +52,7 @@ def bench(
         raise InputError(f"--port: expected 0 to 65535, got {port}. Use 0 for a free port.")
     if not upload_mb > 0.0:
         raise InputError(
-            f"--upload-mb: expected more than 0, got {upload_mb:g}. Enter the largest size of files that are sent together."
+            f"--upload-mb: expected more than 0, got {upload_mb:g}. Enter the largest total size of files that are sent together."
         )
     place = (folder or data_folder() / "bench").absolute()
     secret = None if token == "none" else token or secrets.token_urlsafe(24)

@@ -1,4 +1,4 @@
-"""``undrift orient``: orientation of a recording as quaternions, inclination, heading and pitch."""
+"""``undrift orient``: compute the orientation of a recording as quaternions, inclination, heading and pitch."""
 
 from pathlib import Path
 from typing import Literal
@@ -47,17 +47,16 @@ def orient(
         calibration.json of the device, for a raw recording. In a folder of calibrations, the newest file with its
         serial number is used.
     method : str
-        strapdown, or vqf: a filter that takes the inclination from the accelerometers and tracks the offset, over
-        the whole recording.
+        strapdown, or vqf: a filter that computes the inclination from the accelerometers and tracks the offset, over the whole
+        recording.
     magnetometer : bool
         With vqf, also use the magnetic field. Heading is then relative to magnetic east.
     offset : str
         "rest" subtracts the mean rate of the first (or the named) still phase. "motion" starts from that rest, if there
         is one, and estimates the offset from gravity while the device moves.
     forward : str or None
-        Device axis that points forward on the upright segment. With `up` it defines the pitch. Without both, the axes
-        are +x and +z. If the calibration has a mounting, they are the axes of the segment, and orientation and angles
-        refer to the segment.
+        Device axis that points forward on the upright segment. With `up` it defines the pitch. Without both, the axes are +x and
+        +z. If the calibration has a mounting, they are the axes of the segment, and orientation and angles refer to the segment.
     up : str or None
         Device axis that points up on the upright segment.
     """
@@ -107,7 +106,7 @@ def orient(
 def _answer(orientation: Orientation) -> str:
     """Return the range of the pitch, and its 95 % limit at the least certain sample."""
     low, high = np.array([np.nanmin(orientation.pitch), np.nanmax(orientation.pitch)]) / RADIAN_PER_DEGREE
-    text = f"The sagittal pitch goes from {low:.1f} to {high:.1f} deg."
+    text = f"The sagittal pitch ranges from {low:.1f} to {high:.1f} deg."
     limit = orientation.pitch_limit
     if limit is None or not np.isfinite(limit).any():
         return text
@@ -115,20 +114,20 @@ def _answer(orientation: Orientation) -> str:
     after_s = abs(orientation.time[worst] - orientation.time[anchor])
     if limit[worst] >= np.pi:
         return f"{text} After {after_s:.0f} s the pitch is not known."
-    return f"{text} After {after_s:.0f} s it is good to {two_digits(limit[worst] / RADIAN_PER_DEGREE)} deg (95 %)."
+    return f"{text} After {after_s:.0f} s it is accurate to {two_digits(limit[worst] / RADIAN_PER_DEGREE)} deg (95 %)."
 
 
 def _angles(orientation: Orientation) -> Table:
     angles = (("inclination", orientation.inclination), ("pitch", orientation.pitch), ("heading", orientation.heading))
-    quantiles = (0.0, 0.5, 1.0)  # the pitch has gaps where the body's axis leaves its plane
+    quantiles = (0.0, 0.5, 1.0)  # the pitch has gaps while the body's axis is too far from its plane
     rows = [(name, *(np.nanquantile(angle, quantiles) / RADIAN_PER_DEGREE).tolist()) for name, angle in angles]
     columns = ("angle", "minimum (deg)", "median (deg)", "maximum (deg)")
     note = f"{len(orientation.time)} samples. "
     if orientation.still is None:
-        note += "The tilt at the start is from gravity in motion."
+        note += "The initial tilt is determined from gravity in motion."
     else:
         start, stop = _still_s(orientation)
-        note += f"The tilt at the start is from the rest at {start:.1f} to {stop:.1f} s."
+        note += f"The initial tilt is determined from the rest at {start:.1f} to {stop:.1f} s."
     if orientation.tilt.basis != "calibration":
         note += f" Its uncertainty is {orientation.tilt.statement}."
     return Table(title="Angles", columns=columns, rows=rows, form=".2f", note=note)

@@ -1,4 +1,4 @@
-"""Outputs of commands. They are checked before the work begins, so a wrong name costs no time and overwrites nothing."""
+"""Outputs of commands. They are checked before the work begins, so that a wrong name does not waste time or overwrite files."""
 
 import json
 import shlex
@@ -19,7 +19,7 @@ from undrift.report.report import Report, as_json, plain
 def check_output(
     path: Path | None, *, endings: tuple[str, ...], reads: Iterable[Path | None] = (), beside: Iterable[Path] = ()
 ) -> None:
-    """Refuse an output with an unsuitable ending, in a missing folder, or equal to an input or its sidecar file."""
+    """Raise for an output with an unsuitable ending, in a missing folder, or equal to an input or its JSON file."""
     if path is None:
         return
     if not path.name.lower().endswith(endings):
@@ -31,15 +31,15 @@ def check_output(
     inputs = [read for read in reads if read is not None]
     for file in (path, *beside):
         if file.exists() and any(_holds(read, file) for read in inputs):
-            raise InputError(f"{file}: this file is also read and cannot be written. Choose another name.")
+            raise InputError(f"{file}: this file is an input and cannot be written. Choose another name.")
 
 
 def check_folder(path: Path | None) -> None:
-    """Refuse a folder that cannot be written to, nor made in a folder that exists."""
+    """Raise for a folder that cannot be written to, and cannot be created in an existing folder."""
     if path is None or path.is_dir():
         return
     if path.exists():
-        raise InputError(f"{path}: expected a folder to write to, got a file of that name. Choose another name.")
+        raise InputError(f"{path}: expected a folder to write to, got a file with this name. Choose another name.")
     _check_parent(path)
 
 
@@ -60,7 +60,7 @@ def _holds(read: Path, target: Path) -> bool:
 
 
 def name_of(path: Path) -> str:
-    """Return a recording's name without its endings, for rows and files: walk.v2 of walk.v2.csv.gz."""
+    """Return a recording's name without its endings, for rows and files: walk.v2 for walk.v2.csv.gz."""
     name = path.resolve().name if path.name in ("", "..") else path.name
     for ending in (".gz", ".csv", ".txt", ".log", ".parquet", ".npz", ".mat", ".hdf5", ".h5", ".tsv"):
         if len(name) > len(ending):
@@ -82,7 +82,7 @@ def files_in(value: object) -> Iterator[Path]:
 
 
 def origin_of(*read: Path | None) -> Origin:
-    """Return the origin of a page: the command, and its files with their sha256, those of folders separately."""
+    """Return the origin of a page: the command, and its files with their sha256, including each file of a folder."""
     paths = [path for path in read if path is not None and path.exists()]
     files = {
         file: str(file.relative_to(path.parent)) if path.is_dir() else path.name

@@ -1,7 +1,7 @@
 """``undrift record``: record a device to a file, optionally with a guide through the poses of a calibration.
 
-Readings are appended to a CSV. It is complete after each second, even if a cable, a full disk or a power cut ends the
-recording. At the end, it is converted to the requested file. The format of a device's output is determined by listening
+Readings are appended to a CSV. The file is complete after each second, even if an unplugged cable, a full disk or a power cut ends
+the recording. At the end, it is converted to the requested file. The format of a device's output is determined by listening
 (``live/log.py``).
 """
 
@@ -33,18 +33,18 @@ from undrift.report import Report, Table
 from undrift.rig.lock import stopping_on_signals, uninterrupted
 from undrift.screen import screen
 
-LOOK_S = 0.2  # between two looks at the device, host s
+LOOK_S = 0.2  # time between two reads of the device, host s
 LOG_S = 5.0  # recorded time between two progress lines if there is no terminal, s
-FIRST_S, LOST_S = 6.0, 10.0  # host s for the first reading (a board may restart), and for a lost device
-CLOCK_S = 10.0  # recorded time after which the rate of a device without time is better known than from listening, s
-PAUSE_S = 1.0  # host s without readings that are not mentioned
+FIRST_S, LOST_S = 6.0, 10.0  # longest wait for the first reading (a board may restart), and for a lost device, host s
+CLOCK_S = 10.0  # recorded time after which the rate of a device without time is more accurate than from listening, s
+PAUSE_S = 1.0  # time without readings that is not reported, host s
 RATE_S = 2.0  # recorded time after which the rate is printed, s
-NOW_S, MOST_S = 0.5, 100.0  # readings in the displayed mean, and in one step of a guide, s
+NOW_S, MOST_S = 0.5, 100.0  # duration of the displayed mean, and of the readings in a guide's step, s
 FORMATS = (".parquet", ".csv", ".csv.gz")
 HOW = {
-    "face": "Faces: lay it on each of its six faces, on a level table, and let go. Each is captured by itself, in any order.",
+    "face": "Faces: lay it on each of its six faces, on a level table, and let go. Each is captured automatically, in any order.",
     "turn": "Turns: lay it along a straight edge. Turn it once on the table, as seen from above, back to the edge, and let go.",
-    "pose": "Poses: lay or lean it in 15 poses of any kind, 30 deg apart, and let go. Each is captured by itself.",
+    "pose": "Poses: lay or lean it in 15 poses of any kind, 30 deg apart, and let go. Each is captured automatically.",
 }
 Guides: TypeAlias = Sequence[Guide]
 
@@ -64,7 +64,7 @@ def record(
     ----------
     address : str or None
         A serial port (/dev/ttyUSB0, COM3, /dev/ttyUSB0?baud=9600), tcp://host:port, udp://:9000, or lsl:NAME (see
-        docs/live.md). By default the only serial port. The format of text lines is determined by listening.
+        docs/live.md). The default is the only serial port. The format of text lines is determined by listening.
     output : Path or None
         File to write: .parquet, .csv or .csv.gz.
     guide : str or None
@@ -84,7 +84,7 @@ def record(
     for path in (output, *((folder, calibration) if guide else ())):
         if path.exists():
             raise InputError(
-                f"{path}: the file exists already, and recordings are never overwritten. Choose another name."
+                f"{path}: the file already exists, and recordings are never overwritten. Choose another name."
             )
     recording = _Recording(where, output)
     guides = _guides(guide, folder, place)
@@ -111,7 +111,7 @@ def address_of(address: str | None) -> str:
         ports = [name for name, _ in serial_ports()]
         if len(ports) != 1:
             raise InputError(
-                f"record: expected one serial port, got {len(ports)} ({', '.join(ports)}). Name the device."
+                f"record: expected one serial port, got {len(ports)} ({', '.join(ports)}). Give the device."
             )
         (address,) = ports
     return f"serial://{address}" if address.startswith("/") or address.upper().startswith("COM") else address
@@ -127,8 +127,8 @@ def _senders() -> Report:
     rows = [("serial port", *port) for port in ports] + [("LSL stream", *stream) for stream in streams]
     answer = f"Serial ports: {len(ports)}, LSL streams: {len(streams)}."
     return Report(
-        title="What can be recorded",
-        answer=answer if rows else "No device was found. Connect the device, or name its address.",
+        title="Available devices",
+        answer=answer if rows else "No device was found. Connect the device, or give its address.",
         tables=[Table(title="Devices", columns=("kind", "address", "device"), rows=rows)],
         notes=notes,
         next_command=("record", ports[0][0], "-o", "walk.parquet") if ports else (),
@@ -136,7 +136,7 @@ def _senders() -> Report:
 
 
 class _Recording:
-    """One recording, from the first look at the device to the file."""
+    """A recording, from the first connection to the device to the file."""
 
     def __init__(self, address: str, output: Path) -> None:
         self.screen, self.shown = screen(), ""
@@ -208,12 +208,12 @@ class _Recording:
         return record
 
     def report(self, record: Record, status: Status) -> Report:
-        """Return how long and how complete a recording is."""
+        """Return the duration and the completeness of a recording."""
         lost, garbled, rate_hz = status.lost, status.garbled, record.sample_rate_hz
         return Report(
             title=f"Recording {self.output.name}",
-            answer=f"{record.duration_s:.1f} s are recorded at {rate_hz:.5g} Hz: {lost} of {status.readings + lost} readings "
-            f"are lost, and {garbled} damaged ones are left out.",
+            answer=f"{record.duration_s:.1f} s are recorded at {rate_hz:.5g} Hz: {lost} of {status.readings + lost} readings are "
+            f"lost, and {garbled} damaged readings are left out.",
             notes=[*self.notes, f"The address of the device is {self.address}."],
             written=[self.output],
             data={
@@ -229,7 +229,7 @@ class _Recording:
         )
 
     def _watch(self, guides: Guides, duration_s: float) -> str:
-        """Show the readings and the instructions of a guide until the end. Return the reason of the end."""
+        """Show the readings and the instructions of a guide until the end. Return the reason for the end."""
         source, heard, texts = self.source, time.monotonic(), list[str]()
         while True:
             time.sleep(LOOK_S)
@@ -258,7 +258,7 @@ class _Recording:
 
 
 def _line(status: Status, newest: Record | None) -> str:
-    """Return the state of the recording, in a line."""
+    """Return the state of the recording as one line."""
     if newest is None:
         return f"{status.file_s:7.1f} s   no readings: {status.error or 'waiting for the device'}"
     rate = f"{status.sample_rate_hz:.1f}" if status.file_s > RATE_S else "-"
@@ -283,7 +283,7 @@ def _guides(name: str | None, folder: Path, place: Place) -> Guides:
 
 
 def _calibrated(guides: Guides, output: Path, calibration: Path, place: Place) -> Report:
-    """Calibrate by the faces and turns that guides captured, or by the poses in the recording."""
+    """Calibrate from the faces and turns that guides captured, or from the poses in the recording."""
     capture = guides[0].capture
     if guides[0].step == "pose":
         return calibrate(output, output=calibration, place=place)

@@ -1,6 +1,6 @@
-"""``undrift rig run | stop | check``: a protocol on a rate table, and the table itself.
+"""``undrift rig run | stop | check``: run a protocol on a rate table, stop the table, and check it.
 
-A run shows its position on the screen, and asks its operator there.
+A run shows its progress on the screen, and prompts its operator there.
 """
 
 from contextlib import ExitStack, suppress
@@ -68,10 +68,9 @@ def run(
     protocol : Path
         protocol.toml.
     rig : str
-        Address of the table: galil:tcp://host:port?encoder_lines=10000, grbl:serial:///dev/ttyUSB0, manual: (a person).
-        To simulate the whole bench, use simulated: or, faster, simulated:?clock_speed=100, also for `device` and
-        `chamber`. A simulated `device` has the options seed, device (a preset or device.json) and tilt_deg of the
-        mounting.
+        Address of the table: galil:tcp://host:port?encoder_lines=10000, grbl:serial:///dev/ttyUSB0, manual: (a person). To simulate
+        the whole bench, use simulated: or, faster, simulated:?clock_speed=100, also for `device` and `chamber`. A simulated
+        `device` has the options seed, device (a preset or device.json) and tilt_deg of the mounting.
     device : tuple of str
         Address of the device: tcp://host:port?..., serial:///dev/ttyUSB0?baud=115200, udp://:port, lsl:name. Several
         devices that are mounted alike on one table are read in the same dwells. Repeat the option for each.
@@ -127,7 +126,7 @@ def run(
 
 
 def run_report(results: dict[Path, RunResult]) -> Report:
-    """Return the number of dwells, and the largest difference of achieved rates from nominal rates, by folder of a device."""
+    """Return the report of a run: dwells, and the largest difference between achieved and nominal rates, for each device."""
     (folder, result), *others = results.items()
     turns = [piece for piece in result.pieces if piece.purpose == "rate"]
     difference = max((abs(turn.turn_rate - turn.nominal_turn_rate) for turn in turns), default=0.0)
@@ -233,7 +232,7 @@ def _confirm(programme: Programme, done: frozenset[int], yes: bool) -> None:
         *(f"{number:5d}  {_clock(step.duration_s)}  {step}" for number, step in steps),
         f"{len(dwells_s)} dwells, {_clock(sum(dwells_s))} of rig time. With {mountings} mountings and the chamber about "
         f"{_clock(sum(step.duration_s for _, step in steps))}",
-        *([f"{len(done)} dwells are on the disk already"] if done else []),
+        *([f"{len(done)} dwells are already on the disk"] if done else []),
     )
     with suppress(EOFError):
         yes = yes or screen().ask("Start? (y/N) ").strip().lower() in ("y", "yes")
@@ -282,7 +281,7 @@ def check(
     limits = _limits(turn_rate_dps, ACCELERATION / DPS, travel_deg)
     kind, _, settings = parse_address(rig, RigSettings(limits=limits, accept="on"))
     if kind == "manual":
-        raise InputError("rig check: expected a table with a motor, got manual:. Name the address of a table.")
+        raise InputError("rig check: expected a table with a motor, got manual:. Give the address of a table.")
     with ExitStack() as stack:
         stack.enter_context(one_run(rig, "undrift rig check"))
         stack.enter_context(stopping_on_signals())

@@ -1,4 +1,4 @@
-"""``undrift sample``: the recordings that come with the package, to try undrift with."""
+"""``undrift sample``: write the sample recordings of the package, for trying undrift."""
 
 import shutil
 from importlib.resources import as_file, files
@@ -9,8 +9,7 @@ from undrift.report import Report
 
 
 def sample(folder: Path = Path("sample"), /) -> Report:
-    """Write the sample recordings of the package: six faces, rate table, soaks, a rest, a sit-to-stand task with
-    optics.
+    """Write the sample recordings of the package: six faces, rate table, soaks, a rest, a sit-to-stand task with optics.
 
     Parameters
     ----------

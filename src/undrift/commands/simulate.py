@@ -1,4 +1,4 @@
-"""``undrift simulate``: readings of a simulated device in recorded poses or in a task."""
+"""``undrift simulate``: simulate the readings of a device in recorded poses or in a task."""
 
 from pathlib import Path
 from typing import get_args
@@ -102,7 +102,7 @@ def simulate(
 
 
 def device_at(name: str, rng: np.random.Generator, *, draw: bool) -> DeviceModel:
-    """Return a preset's typical unit, or one drawn within its tolerances, or the device of a file."""
+    """Return the typical unit of a preset, a unit drawn within its tolerances, or the device in a file."""
     if name in PRESETS:
         return random_device(rng, grade=name) if draw else preset(name)
     if not Path(name).exists():
@@ -127,12 +127,12 @@ def _motion(
             return performed.at(time, STANDARD_GRAVITY), performed.position(time)
     if not Path(name).exists():
         tasks = ", ".join(get_args(TaskName))
-        raise InputError(f"motion: expected a file of poses or markers, or one of {tasks}, got '{name}'. Name one.")
+        raise InputError(f"motion: expected a file of poses or markers, or one of {tasks}, got '{name}'. Choose one.")
     reference = read_reference(Path(name), labels=labels_of(markers), up=up)
     spline = fit_pose_spline(reference)
     start, stop = spline.span_s
     time = start + np.arange(int((stop - start) * sample_rate_hz + 1e-6) + 1) / sample_rate_hz
-    time = np.minimum(time, stop)  # rounding can put the last instant after the last pose
+    time = np.minimum(time, stop)  # rounding can move the last sample beyond the last pose
     return spline.at(time, STANDARD_GRAVITY), None if reference.position is None else spline.position(time)
 
 

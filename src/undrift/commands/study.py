@@ -1,4 +1,4 @@
-"""``undrift study``: which calibration session is enough for a task, found with simulated devices and people."""
+"""``undrift study``: find the calibration session that is good enough for a task, with simulated devices and people."""
 
 import io
 from dataclasses import fields, replace
@@ -25,8 +25,8 @@ from undrift.study.methods import compare_methods
 from undrift.study.plan import Study, note_study, read_study, with_categories
 from undrift.study.run import Run, run_chosen, run_effects, run_study, with_checked_fits
 
-RUN, EFFECTS, TESTING, METHODS = 0.7, 0.8, 0.9, 0.97  # shares of the time at which each stage ends
-EFFECT_DEVICES = 10  # whose error is split
+RUN, EFFECTS, TESTING, METHODS = 0.7, 0.8, 0.9, 0.97  # progress at the end of each stage
+EFFECT_DEVICES = 10  # largest number of devices whose error is split by source
 
 
 def study(
@@ -41,7 +41,7 @@ def study(
     workers: int | None = None,
     scheduler: str | None = None,
 ) -> Report:
-    """Calibrate simulated devices by named sessions; find the cheapest one whose error in a task is good enough.
+    """Calibrate simulated devices with named sessions, and find the cheapest session whose error in a task is good enough.
 
     Parameters
     ----------
@@ -50,27 +50,27 @@ def study(
     output : Path
         Folder for report.html, summary.json, runs.parquet and a protocol.toml for each answer that needs a rate table.
     preset : str or None
-        "note" in place of a plan: the technical note's three tasks, with its fits.
+        "note" instead of a plan: the technical note's three tasks, with its fits.
     target_deg : float or None
-        Error that is good enough for 95 % of devices, deg; the plan's if not given, otherwise 0.5, 1 and 2.
+        Error that is good enough for 95 % of devices, deg. The default is the plan's value, otherwise 0.5, 1 and 2.
     categories : str or None
         Categories of people, separated by commas: level_1 to level_4 (level_2 is the note's), young, elderly, impaired, parkinson,
-        and the categories in the plan. Each performs every task.
+        and the categories in the plan. Each category performs every task.
     subjects : int or None
-        Number of devices, each on a person of its own; the plan's if not given, otherwise 30.
+        Number of devices, each on a different person. The default is the plan's value, otherwise 30.
     workers : int or None
-        Processes on this machine; all its processors if not given.
+        Number of processes on this machine. The default is one per processor.
     scheduler : str or None
-        Address of a Dask scheduler, as in tcp://host:8786, to work on its workers.
+        Address of a Dask scheduler whose workers are used, for example tcp://host:8786.
     """
     if (plan is None) == (preset is None):
         raise InputError(
-            f"study: expected a study.toml or `preset` note, got {'both' if plan else 'neither'}. Name one."
+            f"study: expected a study.toml or `preset` note, got {'both' if plan else 'neither'}. Give one."
         )
     planned = _planned(plan, target_deg, categories, subjects)
     check_folder(output)
     if output.is_dir() and any(output.iterdir()) and not (output / "runs.parquet").is_file():
-        raise InputError(f"{output}: this folder contains other files. Name a new folder, or the folder of a study.")
+        raise InputError(f"{output}: this folder contains other files. Choose a new folder, or the folder of a study.")
     with executor(workers, scheduler) as spread:
         progress("comparing a shipped fit with a new one", 0.0)
         figures = spread(partial(figure3, seed=planned.seed), [] if preset is None else [planned.typical_unit()])

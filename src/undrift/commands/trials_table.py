@@ -1,6 +1,6 @@
-"""``undrift validate FOLDER --trials trials.csv``: people, tasks and devices at each level of correction.
+"""``undrift validate FOLDER --trials trials.csv``: validate people, tasks and devices at each level of correction.
 
-The table of trials has a row per recording. Columns: recording, person, task and device; reference, if the recording
+The table of trials has one row per recording. Columns: recording, person, task and device; reference, if the recording
 does not contain a reference. Optional columns: calibration, map, sensor, reference_map, reference_up and markers, with
 the values of the options. Paths are relative to the table.
 """
@@ -29,11 +29,11 @@ OPTIONAL = (*FILES[1:], "sensor", "reference_up", "markers")
 def validate_people(
     folder: Path, name: Path, *, settings: TrialSettings, forward: Side | None, up: Side | None, opening: Opening
 ) -> tuple[Report, tuple[Path, ...]]:
-    """Judge the recordings of a table in a folder, by gyroscopes and by VQF. Also return the files that were read."""
+    """Judge the recordings of a table in a folder, with strapdown and with VQF. Also return the files that were read."""
     table = folder / name
     if not table.is_file():
         raise InputError(
-            f"validate: there is no {table}. Write a row per recording with the columns {', '.join(TRIAL)} and reference."
+            f"validate: there is no {table}. Write one row per recording with the columns {', '.join(TRIAL)} and reference."
         )
     rows, trials = list(_rows(table)), list[LevelTrial]()
     _check_rows(table, rows)
@@ -57,7 +57,7 @@ def validate_people(
 
 
 def _answer(table: LevelTable) -> str:
-    """Return the error before, and the smallest error of the levels that judge most trials."""
+    """Return the error before correction, and the smallest error among the levels with the most judged trials."""
     judged = [summary for summary in table.summaries if summary.group == "all" and summary.trials]
     most = max(summary.trials for summary in judged)
     first, best = judged[0], min((s for s in judged if s.trials == most), key=lambda summary: summary.mean_deg)
@@ -71,7 +71,7 @@ def _answer(table: LevelTable) -> str:
 
 
 def _warnings(table: LevelTable) -> list[Table]:
-    """Return the warnings of the trials, once for each recording, with the first level that has it."""
+    """Return the warnings of the trials, once per recording, with the first level at which they occur."""
     rows = dict[tuple[str, str], tuple[str, str, str]]()
     for errors in table.errors:
         for recording, item in errors.findings:
@@ -84,7 +84,7 @@ def _warnings(table: LevelTable) -> list[Table]:
 
 
 def _rows(table: Path) -> Iterator[dict[str, str]]:
-    """Yield the rows of the table, with every possible column in each."""
+    """Yield the rows of the table. Each row has every possible column."""
     reader = csv.DictReader(read_bytes(table).decode("utf-8-sig", "replace").splitlines())
     heads = [head.strip() for head in reader.fieldnames or ()]
     lacking, unknown = [x for x in TRIAL if x not in heads], [x for x in heads if x not in (*TRIAL, *OPTIONAL)]
@@ -108,7 +108,8 @@ def _rows(table: Path) -> Iterator[dict[str, str]]:
 
 
 def _check_rows(table: Path, rows: list[dict[str, str]]) -> None:
-    """Refuse a recording in two rows, which would correct itself, and a device that is calibrated in some rows only."""
+    """Raise for a repeated recording, which would be corrected with itself, and for a device with a calibration in only some
+    rows."""
     names = [(row["recording"], row["sensor"]) for row in rows]
     if twice := sorted({name for name, _ in names if names.count((name, _)) > 1}):
         raise InputError(f"{table}: expected each recording once, got {twice[0]} in several rows. Keep one row.")

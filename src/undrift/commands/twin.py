@@ -1,4 +1,4 @@
-"""``undrift twin``: the device model fitted to a real device, and its errors on recordings held out."""
+"""``undrift twin``: fit the device model to a real device, and determine its errors on held-out recordings."""
 
 from collections.abc import Sequence
 
@@ -31,7 +31,7 @@ def twin(
     Parameters
     ----------
     records : Path
-        Raw recordings of one device in one mounting. Without a rest, a recording has the device's offset in motion.
+        Raw recordings of one device in one mounting. A recording without a rest gets the offset of the device in motion.
     gravity_m_s2 : float
         Local gravity, m/s2: the accelerometer's scale is proportional to it.
     output : Path or None
@@ -50,7 +50,7 @@ def twin(
     if output is not None:
         first = fitted.prepared.matches[0].record
         write_device(device_of(fitted, sample_rate_hz=first.sample_rate_hz, serial=first.device), output)
-    note = "With one recording, none can be held out. Add a second recording to measure the accuracy of the twin."
+    note = "A single recording cannot be held out. Add a second recording to measure the accuracy of the twin."
     return Report(
         title=f"Twin of a real device, from {', '.join(names)}",
         answer=_answer(fitted, held_out),
@@ -72,7 +72,7 @@ def _answer(fitted: Twin, held_out: Sequence[HeldOutTrial]) -> str:
         return text
     median, most = np.nanquantile(np.concatenate(short), (0.5, 0.95)) / RADIAN_PER_DEGREE
     return (
-        f"{text} On recordings held out, its pitch differs from that of the real device by at most {most:.2f} deg in 95 % of "
+        f"{text} On held-out recordings, its pitch differs from that of the real device by at most {most:.2f} deg in 95 % of "
         f"windows of {WINDOWS_S[0]:g} s (median {median:.2f} deg)."
     )
 

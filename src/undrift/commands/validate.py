@@ -1,4 +1,4 @@
-"""``undrift validate``: errors in degrees against an orientation reference, before and after a calibration."""
+"""``undrift validate``: determine errors in degrees against an orientation reference, before and after a calibration."""
 
 import math
 from dataclasses import replace
@@ -23,7 +23,7 @@ from undrift.validation.agreement import MOUNTING_ABOVE, Validation, validate_le
 from undrift.validation.levels import LevelTable, LevelTrial, judge_levels
 from undrift.validation.trial import TrialSettings, check_poses
 
-READ, COMPARED = 0.3, 0.7  # shares of the time when all is read, and when the recordings are compared
+READ, COMPARED = 0.3, 0.7  # progress after reading, and after comparing the recordings
 
 
 def validate(
@@ -49,8 +49,8 @@ def validate(
     calibration : Path or None
         calibration.json of the device, or a folder of calibrations: the newest one with the recordings' serial number.
     calibrate_from : str or None
-        "reference" fits the gyroscopes to the references of these recordings, which must be from one device. A session.toml can set
-        its serial number, the local gravity, and that it was mounted once.
+        "reference" fits the gyroscopes to the references of these recordings, which must be from one device. A session.toml can
+        contain the serial number, local gravity, and `mounting = "one"`.
     leave_one_out : bool
         With --calibrate-from: each recording is compared after a fit to the others.
     offset : str
@@ -64,7 +64,8 @@ def validate(
     max_lag_s : float
         Largest lag between the clocks of recording and reference, in either direction, s.
     trials : Path or None
-        Table in the folder, a row per recording with person, task, device and reference: errors over people, by task and by device.
+        Table in the folder, one row per recording with person, task, device and reference, for errors over people, by task and by
+        device.
     output : Path or None
         Folder for validation.json, report.html and, with --calibrate-from, calibration.json.
     """
@@ -121,7 +122,8 @@ def validate(
 def _check_readings(
     record: Record, reference: Reference, path: Path, settings: TrialSettings, *, physical: bool
 ) -> None:
-    """Refuse readings without a calibration in no physical unit, and columns that a fit would take for axes of its own."""
+    """Without a calibration, raise for readings without a physical unit, and for columns that a fit would mistake for other
+    axes."""
     if physical:
         check_physical(record, path)
     with named_columns(path):
@@ -135,7 +137,7 @@ def _fit(
     mounting: Mounting,
     longest_lag_s: float,
 ) -> Calibration:
-    """Return the device calibrated by all references."""
+    """Return the calibration fitted to all references."""
     stated = session is not None and session.gravity_source != "standard"
     gravity_m_s2 = session.gravity_m_s2 if session is not None and stated else None
     records, references = [record for record, _ in pairs], [reference for _, reference in pairs]
@@ -152,7 +154,7 @@ def _compare(
     settings: TrialSettings,
     leave_one_out: Mounting | None,
 ) -> tuple[Validation, LevelTable, tuple[Finding, ...]]:
-    """Compare the recordings by a calibration, or each by the fit to the others, and at each level of correction.
+    """Compare the recordings with one calibration, or each with the fit to the others, and at each level of correction.
 
     Also return the findings of the fits.
     """
@@ -187,7 +189,7 @@ def _written(
     fitted: Calibration | Literal[False] | None = None,
     name: str = "validation.json",
 ) -> Report:
-    """Write the JSON, the page and the calibration that was fitted. Return the report with the names of the files."""
+    """Write the JSON file, the page and the fitted calibration. Return the report with the names of the files."""
     if folder is None:
         return report
     origin = origin_of(*inputs)

@@ -1,4 +1,4 @@
-"""What firmware and other programs read from a calibration: the targets of ``undrift export``.
+"""Targets of ``undrift export``: files that contain a calibration for firmware and other programs.
 
     c            C source of the correction in float and double
     arduino      a library folder with the same source and a sketch
@@ -76,7 +76,7 @@ def _beyond_constants(calibration: Calibration) -> Iterator[str]:
     if any(codes) or any(truncated):
         yield "half a code step for codes that are truncated toward zero"
     if calibration.gyro is not None and calibration.gyro.moving_offset is not None:
-        yield "the change of the offset from motion to rest, so rates at rest are wrong by it"
+        yield "the change of the offset from motion to rest, so rates at rest are wrong by this change"
     if calibration.magnetometer is not None:
         yield "hard iron, soft iron, alignment and lag of the magnetometer"
     if drift.static is not None:

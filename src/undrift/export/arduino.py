@@ -3,7 +3,7 @@
 ::
 
     undrift_imu/library.properties, keywords.txt
-    undrift_imu/src/undrift.h, undrift.c                   as of the target c, in float
+    undrift_imu/src/undrift.h, undrift.c                   as for the target c, in float
     undrift_imu/examples/Corrected/Corrected.ino           for an MPU-6050 on I2C
 
 The folder is copied into the folder "libraries" of the sketchbook. The sketch reads counts of an MPU-6050 at 250 deg/s and
@@ -30,7 +30,7 @@ UNITS = {
 
 
 def write_arduino(calibration: Calibration, options: ExportOptions, name: str) -> Exported:
-    """Return the files of the library by their names in the folder."""
+    """Return the files of the library, by name in the folder."""
     header = f"{options.prefix}.h"
     exported = export_c(calibration, options, header_name=header, date=utc_now())
     gyro_unit = calibration.gyro.unit_in if calibration.gyro else "rad/s"

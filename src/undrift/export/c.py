@@ -3,12 +3,12 @@
 The source evaluates the model of ``correction/correct.py`` in the same order: rounding, static table and warm-up, matrix or scale
 table, g-sensitivity, dynamic table. Beyond its ends, a table is constant. The source allocates no memory, calls no library and
 keeps no state. The time of a table lookup does not depend on the data. A separate function removes a thermometer's lag, with a
-state that the caller owns. Another one adds the change of the offset from motion to rest. The warm-up requires
-a second entry function, to which the caller passes the time since power-on. Two builds are possible: ``-DUNDRIFT_FLOAT`` and
-``-DUNDRIFT_DOUBLE``.
+state that the caller owns. Another function adds the change of the offset from motion to rest. The warm-up requires a second entry
+function, to which the caller passes the time since power-on. Two builds are possible: ``-DUNDRIFT_FLOAT`` and ``-DUNDRIFT_DOUBLE``.
 
-If the nodes of a table are whole multiples of a step, the table is converted to the even grid that contains them all, and a
-multiplication finds the cell. If this would more than double the memory, bisection finds the cell, in a fixed number of steps.
+If the nodes of a table are whole multiples of a step, the table is converted to the even grid that contains them all, and one
+multiplication determines the cell. If this would more than double the memory, the cell is found by bisection in a fixed number of
+steps.
 """
 
 import re
@@ -29,7 +29,7 @@ from undrift.model import SENSORS, Calibration
 from undrift.segments import TURNING_ABOVE, TURNING_HOLD_S, TURNING_MEAN_S
 from undrift.units import RADIAN_PER_DEGREE, SI_UNIT
 
-# ---- Constants of the correction (correction/plan.py), with tables that can be looked up in constant time.
+# ---- Constants of the correction (correction/plan.py), with tables for lookup in constant time.
 
 TABLES = ("offset_table", "matrix_table", "error_table", "warm_up_table")
 
@@ -42,7 +42,7 @@ def named_tables(constants: Constants) -> list[tuple[str, LookupTable]]:
 def triads_of(calibration: Calibration) -> tuple[Constants | None, Constants | None]:
     """Return the constants of gyroscopes and accelerometers for firmware, None for a triad without a model."""
     if calibration.gyro is None and calibration.accel is None:
-        raise InputError("export: no model of gyroscopes or accelerometers. Calibrate first.")
+        raise InputError("export: there is no model of gyroscopes or accelerometers. Calibrate first.")
     gyro, accel = (
         None if triad.model is None else _on_grids(constants_of(calibration, name))
         for name, triad in zip(SENSORS, calibration.triads, strict=True)
@@ -272,7 +272,7 @@ def export_c(
 
 
 def _parts(calibration: Calibration, triads: list[Constants], prefix: str, lead: Lead | None) -> dict[str, Any]:
-    """Return what the templates print."""
+    """Return the variables of the templates."""
     accel, gyro = triads
     tables = [table for triad in triads for _, table in named_tables(triad)]
     axes = [axis for table in tables for _, axis in _axes(table)]
@@ -295,7 +295,7 @@ def _parts(calibration: Calibration, triads: list[Constants], prefix: str, lead:
 
 
 def _nominal_if_missing(calibration: Calibration, notes: list[str]) -> list[Constants]:
-    """Return gyroscopes and accelerometers. A triad without a model is read in SI units with nominal values, and noted."""
+    """Return gyroscopes and accelerometers. A triad without a model is in SI units with nominal values, and a note reports it."""
     constants = list[Constants]()
     for name, triad in zip(SENSORS, triads_of(calibration), strict=True):
         if triad is None:
@@ -338,7 +338,7 @@ def _span(tables: list[LookupTable]) -> str:
 
 
 def write_c(calibration: Calibration, options: ExportOptions, name: str) -> Exported:
-    """Return header and source. The source includes the header by its name."""
+    """Return header and source. The source includes the header by name."""
     if not re.fullmatch(r"[\w.-]+", name, re.ASCII):
         raise InputError(
             f"{name}: the name of a C header may contain only letters, digits, -, _ and . (full stop). Rename it."

@@ -5,7 +5,7 @@
     accel = accel_matrix (raw - accel_offset)                                    m/s2
     gyro  = gyro_matrix (raw - gyro_offset) - gyro_g_sensitivity accel           rad/s
 
-Where these numbers go in Fusion, ROS, PX4 and ArduPilot: docs/export.md.
+docs/export.md lists the places of these numbers in Fusion, ROS, PX4 and ArduPilot.
 """
 
 import json
@@ -30,7 +30,7 @@ class ConstantPair:
     gyro: Constants | None  # SI = matrix (reading - offset) - g_sensitivity a (None without a model)
     accel: Constants | None
     temp_c: float  # temperature of the constants, degC, or NaN without tables and reference temperature
-    read_tables: bool  # True if tables over temperature were read at temp_c
+    read_tables: bool  # True if tables over temperature were evaluated at temp_c
 
 
 def pair_at(calibration: Calibration, temp_c: float | None = None) -> ConstantPair:
@@ -72,7 +72,7 @@ def _at(triad: Constants, temp: float) -> Constants:
 def write_constants(calibration: Calibration, options: ExportOptions, name: str) -> Exported:
     """Return the constants as a C header if the name of the file ends in .h, otherwise as JSON."""
     pair = pair_at(calibration, options.temp_c)
-    notes = [f"tables over temperature are read at {pair.temp_c:g} degC"] if pair.read_tables else []
+    notes = [f"tables over temperature are evaluated at {pair.temp_c:g} degC"] if pair.read_tables else []
     for sensor, triad in (("gyroscope", pair.gyro), ("accelerometer", pair.accel)):
         if triad is None:
             notes.append(f"no {sensor} constants, because the calibration has no {sensor} model")

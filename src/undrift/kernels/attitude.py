@@ -10,7 +10,7 @@ from undrift.arrays import FloatArray
 from undrift.errors import InputError
 from undrift.units import RADIAN_PER_DEGREE
 
-MIN_OFFSET_SIGMA_DPS = 1e-3  # prior of the filter's offset: below it the filter would not follow a real change for long
+MIN_OFFSET_SIGMA_DPS = 1e-3  # smallest prior of the offset (below it, the filter follows changes too slowly)
 ACC_S = 3.0  # time constant with which the inclination follows the accelerometers, s
 UNEVEN = 0.1  # largest deviation from the median step without interpolation to an even grid
 

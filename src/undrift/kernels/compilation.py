@@ -1,4 +1,4 @@
-"""How kernels are compiled: by numba where it is installed. Without it, as in a browser, they run as Python."""
+"""Compilation of kernels with numba, if it is installed. Without numba, as in a browser, they run as Python."""
 
 from collections.abc import Callable
 from contextlib import suppress

@@ -19,7 +19,7 @@ IndexArray: TypeAlias = NDArray[np.uint32]
 ZERO, ONE, TWO, THREE = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3)
 FOUR, FIVE, SIX, EIGHT = np.uint64(4), np.uint64(5), np.uint64(6), np.uint64(8)
 TWELVE, EIGHTEEN = np.uint64(12), np.uint64(18)
-LOOKED_UP = 256  # samples whose cells are found together: shorter and longer measured slower
+LOOKED_UP = 256  # number of samples whose cells are found together: shorter and longer blocks are slower
 
 
 @compiled
@@ -55,7 +55,7 @@ def affine_pair(
     n0, n1, n2, n3, n4, n5, n6, n7, n8 = n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7], n[8]
     g0, g1, g2, g3, g4, g5, g6, g7, g8 = g[0], g[1], g[2], g[3], g[4], g[5], g[6], g[7], g[8]
     o0, o1, o2, p0, p1, p2 = o[0], o[1], o[2], p[0], p[1], p[2]
-    for k in range(ZERO, np.uint64(x.size), THREE):  # one loop: each reading is fetched once, each result written once
+    for k in range(ZERO, np.uint64(x.size), THREE):  # one loop: each value is read or written once
         y0, y1, y2 = y[k] - p0, y[k + ONE] - p1, y[k + TWO] - p2
         x0, x1, x2 = x[k] - o0, x[k + ONE] - o1, x[k + TWO] - o2
         a0 = n0 * y0 + n1 * y1 + n2 * y2
@@ -110,7 +110,7 @@ def cells_of(grid: Grid, x: FloatArray, index: IndexArray, fraction: FloatArray)
     # cell of each value
     if grid.inverse > 0.0:
         start, inverse, last = grid.start, grid.inverse, float(grid.cells - 1)
-        for k in range(np.uint64(x.size)):  # in the vector units
+        for k in range(np.uint64(x.size)):  # runs in the vector units
             index[k], fraction[k] = even_cell(start, inverse, last, x[k])
         return
     for k in range(np.uint64(x.size)):

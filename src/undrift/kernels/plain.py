@@ -1,4 +1,4 @@
-"""Kernels of rotation.py in numpy, for interpreters without a compiler, where a loop over samples is slow."""
+"""Kernels of rotation.py in numpy, for interpreters without a compiler, in which a loop over samples is slow."""
 
 import numpy as np
 

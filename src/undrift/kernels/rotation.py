@@ -138,18 +138,18 @@ def strapdown(gyro: FloatArray, time: FloatArray, q: FloatArray, out: FloatArray
         for k in range(np.uint64(start), np.uint64(stop)):
             j = FOUR * k
             c, x, y, z = out[j], out[j + ONE], out[j + TWO], out[j + THREE]
-            # pairs before sums: the shorter chain from one sample to the next sets the pace
+            # pairs before sums, because the shorter chain from one sample to the next is faster
             nw = (qw * c - qx * x) - (qy * y + qz * z)
             nx = (qw * x + qx * c) + (qy * z - qz * y)
             ny = (qw * y - qx * z) + (qy * c + qz * x)
             nz = (qw * z + qx * y) - (qy * x - qz * c)
             qw, qx, qy, qz = nw, nx, ny, nz
             out[j], out[j + ONE], out[j + TWO], out[j + THREE] = qw, qx, qy, qz
-        scale = 1.5 - 0.5 * (qw * qw + qx * qx + qy * qy + qz * qz)  # one Newton step back to length one
+        scale = 1.5 - 0.5 * (qw * qw + qx * qx + qy * qy + qz * qz)  # one Newton step back to unit length
         qw, qx, qy, qz = qw * scale, qx * scale, qy * scale, qz * scale
 
 
-# ---- specific force, carried along
+# ---- specific force, rotated into the first frame
 
 
 @compiled

@@ -1,4 +1,4 @@
-"""Tables as the correction kernels take them."""
+"""Tables in the form that the correction kernels use."""
 
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ class Grid(NamedTuple):
 
     @property
     def stop(self) -> float:
-        """Last node."""
+        """Return the last node."""
         return float(self.nodes[-1])
 
 

@@ -1,4 +1,4 @@
-"""What people see: reports of commands with their tables and figures, on a terminal, as a page and as JSON."""
+"""Reports of commands with their tables and figures, on a terminal, as a page and as JSON."""
 
 from undrift.report.report import Cell, Estimate, Report, Table
 

@@ -1,4 +1,4 @@
-"""The report of a calibration: what it is good for, its uncertainty, its parameters and their figures."""
+"""Report of a calibration: its suitability, uncertainty, parameters and figures."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -28,7 +28,7 @@ BLOCKS = {
 SHOWN_UNIT = {
     "gyro": ("deg/s", 1.0 / RADIAN_PER_DEGREE),
     "accel": ("mg", 1e3 / STANDARD_GRAVITY),
-}  # and how many are one SI
+}  # unit, and number of units per SI unit
 GRAVITY_SOURCES = {"standard": "standard gravity, assumed", "latitude and height": "by latitude and height"}
 PITCH_NOTE = (
     f"95 % limit of the pitch error of a sit-to-stand with a lean of 45 deg, within a year of the calibration. The rest before "
@@ -37,7 +37,7 @@ PITCH_NOTE = (
 
 
 def calibration_report(calibration: Calibration) -> Report:
-    """Return what a calibration is good for, with its parameters and their uncertainty."""
+    """Return the report of a calibration: its suitability, its parameters and their uncertainty."""
     triads = triads_of(calibration)
     return Report(
         title=f"Calibration of {calibration.device or 'a device'}",
@@ -71,7 +71,7 @@ def _pitch(calibration: Calibration) -> Table:
             (f"after a rest, within {within}", True, WITHIN_K),
             (f"without a rest, within {within}", False, WITHIN_K),
         ]
-        note += f" The temperature of the calibration was not recorded. The limits hold up to {within} from it."
+        note += f" The temperature of the calibration was not recorded. The limits apply up to {within} from it."
     rows = list[dict[str, Cell]]()
     for name, rested, away_k in cases if calibration.gyro is not None else ():
         limits = pitch_limits(calibration, rested=rested, away_k=away_k)
@@ -96,7 +96,7 @@ def _uncertainty(calibration: Calibration) -> Table:
 
 
 def budget_units(name: str, model: TriadModel) -> dict[str, tuple[float, str]]:
-    """Return by kind of parameter how many units of a budget are one unit of the triad, and the unit of the budget."""
+    """Return, for each kind of parameter, the factor from the unit of the triad to the unit of the budget, and the latter."""
     scale, (unit, factor) = float(np.diag(model.matrix).mean()), SHOWN_UNIT[name]
     percent, offset = (100.0 / scale, "%"), (abs(scale) * factor, unit)
     return {
@@ -106,7 +106,7 @@ def budget_units(name: str, model: TriadModel) -> dict[str, tuple[float, str]]:
 
 
 def _parameters(name: str, model: TriadModel) -> Table:
-    """Return matrix and offset of a triad, and what else was fitted, each with its standard uncertainty."""
+    """Return matrix, offset and other fitted parameters of a triad, each with its standard uncertainty."""
     low, high = model.valid_range
     rows: list[tuple[Cell, ...]] = [
         (parameter, Estimate(value, sigma) if sigma > 0.0 else value, parameter_unit(parameter, model))
@@ -151,13 +151,13 @@ def _origin(calibration: Calibration) -> Iterator[str]:
 
 
 def _parts(calibration: Calibration) -> Iterator[str]:
-    """Yield the magnetometer, the mounting, and what the tables take into account besides temperature."""
+    """Yield the magnetometer, the mounting, and the effects other than temperature that the tables contain."""
     if (mag := calibration.magnetometer) is not None:
         offset = ", ".join(
             map(str, map(Estimate, mag.model.offset.tolist(), mag.model.standard_uncertainty[9:12].tolist()))
         )
         lag = Estimate(1e3 * mag.lag_s, 1e3 * mag.lag_uncertainty_s)
-        yield f"Magnetometer: in the axes of the gyroscopes, which it lags by {lag} ms. Its offset is {offset} uT."
+        yield f"Magnetometer: in the axes of the gyroscopes, behind which it lags by {lag} ms. Its offset is {offset} uT."
     if calibration.mounting is not None:
         yield f"Mounting: {statement_of(calibration.mounting)}"
     drift = calibration.drift
@@ -197,8 +197,8 @@ def _ranges(drift: DriftTables | None) -> Table:
 
 
 def draw_calibration(calibration: Calibration) -> "Figure":
-    """Draw each matrix as departures from the ideal, and the offsets. Bars are expanded uncertainties. The ideal matrix
-    has no cross-axis terms, and the gain of the unit. For counts or volts, it has the mean gain.
+    """Draw the departures of each matrix from the ideal, and the offsets. Bars are expanded uncertainties. The ideal matrix has no
+    cross-axis terms and the gain of the unit. For counts or volts, it has the mean gain.
     """
     triads = {name: model for name in ("gyro", "accel") if (model := triads_of(calibration).get(name)) is not None}
     if not triads:

@@ -1,4 +1,4 @@
-"""The certificate of a calibration: results with expanded uncertainty, budget by source, reference values and limits, for A4.
+"""Certificate of a calibration: results with expanded uncertainty, budget by source, reference values and limits, for A4.
 
 Scale factors and cross-axis terms are elements of the correction matrix, shares of a budget in per cent of its mean diagonal.
 """
@@ -22,7 +22,7 @@ from undrift.report.calibration import BLOCKS, NAMES, SHOWN_UNIT, budget_units, 
 from undrift.report.report import Cell, Estimate, Report, Table
 from undrift.units import INHABITED_GRAVITY, is_physical, si_factor
 
-# Row of the budget, how it is evaluated (GUM 4.2, 4.3), and which triad has it
+# row of the budget, type of evaluation (GUM 4.2, 4.3), and triad that has the source
 SOURCE_ROWS = {
     "rate": ("Rig: stated rate", "B", "gyro"),
     "angle": ("Rig: entered angle of turns", "B", "gyro"),
@@ -40,8 +40,8 @@ SOURCE_ROWS = {
     "prior": ("Fit: not determined by the session", "B", ""),
     "fit": ("Fit: sources not separated", "A, B", ""),
 }
-OPTIONAL_SOURCES = {"angle", "axis", "fit", "gravity", "nonlinearity"}  # without a row if a calibration has none
-METHODS = {  # a method's name and its description on a certificate
+OPTIONAL_SOURCES = {"angle", "axis", "fit", "gravity", "nonlinearity"}  # without a row if not in a calibration
+METHODS = {  # descriptions of methods on a certificate
     "six-face": "six faces against gravity",
     "rate-table": "steady rates of a rate table, about each axis",
     "known-rotation": "turns by a known angle about each axis",
@@ -111,7 +111,7 @@ def write_certificate(calibration: Calibration, path: Path, report: Report, entr
 
 
 def _results(name: str, model: TriadModel, table: ParameterTable) -> Table:
-    """Return each parameter with its expanded uncertainty, in its own unit and in that of the budget."""
+    """Return each parameter with its expanded uncertainty, in its unit and in the unit of the budget."""
     rows, units = list[dict[str, Cell]](), budget_units(name, model)
     for parameter, value, expanded in zip(table.names, table.value.tolist(), table.expanded.tolist(), strict=True):
         (factor, unit), fixed = units[block_of(parameter)], not expanded > 0.0
@@ -154,7 +154,7 @@ def _budget(name: str, model: TriadModel, table: ParameterTable) -> Table:
         "Standard uncertainty by source, root mean square over the parameters of a kind; type of evaluation A or B (JCGM 100). "
         "Scale factor and cross-axis sensitivity in per cent of the mean scale factor."
     )
-    note += "" if separated else " The calibration keeps no separate shares: one line contains all sources together."
+    note += "" if separated else " The calibration contains no separate shares, so one line contains all sources."
     columns = ("source", "type", *(f"{BLOCKS[block]} ({units[block][1]})" for block in places))
     return Table(
         title=f"{NAMES[name].capitalize()}: uncertainty budget", columns=columns, rows=rows, form=".2g", note=note
@@ -162,7 +162,7 @@ def _budget(name: str, model: TriadModel, table: ParameterTable) -> Table:
 
 
 def _conformity(calibration: Calibration, limits: Mapping[str, float]) -> Table:
-    """Return a row for each limit of a triad that is calibrated."""
+    """Return a row for each limit of a calibrated triad."""
     triads, rows = triads_of(calibration), list[dict[str, Cell]]()
     for key, limit in limits.items():
         name, block = key.split("_")[:2]
@@ -204,7 +204,7 @@ def departures(name: str, model: TriadModel, gravity: float = 0.0) -> dict[str, 
     return largest
 
 
-# ---- what else a certificate states
+# ---- further statements of a certificate
 
 
 def _conditions(calibration: Calibration) -> Iterator[tuple[str, str]]:
@@ -251,7 +251,7 @@ def _references(calibration: Calibration) -> Iterator[str]:
             statement = f"assumed; standard uncertainty {100.0 * u:.2f} % ({interval}) is in the budget"
         yield (
             f"Local gravity: {calibration.gravity_m_s2:.5f} m/s² (source: {settings.get('gravity', 'not stated')}), {statement}. "
-            "A relative error of it is the same relative error of the accelerometers' scale factor."
+            "A relative error of gravity causes the same relative error of the accelerometers' scale factor."
         )
     yield "This document does not list certificates of these references and does not claim accreditation."
 
@@ -268,11 +268,11 @@ def _limits_of_validity(calibration: Calibration) -> Iterator[str]:
             yield f"{NAMES[name].capitalize()}: {calibrated}. Larger values are not covered."
     if "accel" in triads:
         method, size = triads["accel"].method, "of data-sheet size (2e-4 per m/s²) is included in U of their offset"
-        remark = "is part of their offset, and not included in U"
+        remark = "is part of their offset, and is not included in U"
         if method.startswith("six-face"):
             remark = f"{size}. 18 free poses would determine it"
         elif method.startswith("multi-position"):
-            remark = f"{size}, as far as the poses leave it open"
+            remark = f"{size}, as far as the poses do not determine it"
         yield f"The accelerometers are taken as linear within 1 g. A quadratic term {remark}."
     static = None if calibration.drift is None else calibration.drift.static
     if static is None:

@@ -1,4 +1,4 @@
-"""The report of a thermal fit: errors before and after, offset, scale and dynamic drift over temperature, and their figures.
+"""Report of a thermal fit: errors before and after, offset, scale and dynamic drift over temperature, and figures.
 
 Warming is red and cooling blue. Ranges without data are hatched.
 """
@@ -32,11 +32,11 @@ TRIADS: tuple[tuple[Literal["Gyroscope", "Accelerometer"], Sensor], ...] = (
 SHOWN_UNIT = {
     "rad/s": ("deg/s", 1.0 / RADIAN_PER_DEGREE),
     "m/s2": ("mg", 1e3 / STANDARD_GRAVITY),
-}  # and how many are one SI
+}  # unit, and number of units per SI unit
 
 
 def drift_report(fit: DriftFit) -> Report:
-    """Return the content of a thermal fit, and its benefit for a standard motion: the largest error before and after."""
+    """Return the report of a thermal fit, with its benefit for a standard motion: the largest error before and after."""
     worth = _worth(fit)
     summaries = [(name, triad) for name, sensor in TRIADS if (triad := summarise(fit, sensor)) is not None]
     tables = [*_before_and_after(worth), *(_offsets(name, triad) for name, triad in summaries), *_scale(fit)]
@@ -55,7 +55,7 @@ def drift_report(fit: DriftFit) -> Report:
 def _answer(fit: DriftFit, worth: TableWorth | None) -> str:
     data = f"{len(fit.rests)} blocks of rest and {len(fit.steps)} dwells at known rates"
     if worth is None:
-        return f"{data} give no table of gyroscope offsets over temperature."
+        return f"{data} do not determine a table of gyroscope offsets over temperature."
     return (
         f"In a lean {worth.motion}, the error is up to {worth.constant_deg:.2f} deg without tables and "
         f"{worth.tables_deg:.2f} deg with these tables. {worth.answer}."
@@ -92,11 +92,11 @@ class TriadSummary:
     unit: str  # rad/s or m/s2
     seen_c: tuple[float, float]  # lowest and highest temperature of the data, degC
     temp_c: FloatArray  # (n,), nodes, degC
-    departure: FloatArray  # (n, 3), from the constant offset
+    departure: FloatArray  # (n, 3), difference from the constant offset
     uncertainty: FloatArray  # (n, 3), standard uncertainty
-    extrapolated: BoolArray  # (n,), True if no data were near
-    fit: TriadDrift | None  # None if the table is of several poses
-    factor: FloatArray  # (3,), unit per raw unit
+    extrapolated: BoolArray  # (n,), True if there were no data near the node
+    fit: TriadDrift | None  # blocks, or None if the table is from several poses
+    factor: FloatArray  # (3,), conversion factor, unit per raw unit
     constant: FloatArray  # (3,), offset of the calibration, raw unit
     block_cooling: FloatArray  # (k,), 1 while cooling, -1 while warming
 
@@ -187,10 +187,10 @@ def _dynamic(fit: DriftFit) -> Iterator[Table]:
 
 # ---- pictures
 
-MOST_POINTS = 3000  # blocks drawn
-_MANY = 300  # from this number of blocks on, marks are small
+MOST_POINTS = 3000  # largest number of blocks that are drawn
+_MANY = 300  # number of blocks above which marks are small
 NORMAL_95 = 1.96
-_CURVES = 5  # temperatures of the dynamic drift that are drawn
+_CURVES = 5  # number of temperatures of the dynamic drift that are drawn
 _COURSES = (  # direction of the temperature change: sign, mark, colour
     ("warming", -1.0, "^", "#c23b3b"),
     ("cooling", 1.0, "v", "#2b62b3"),
@@ -199,7 +199,7 @@ _COURSES = (  # direction of the temperature change: sign, mark, colour
 
 
 def draw_drift(fit: DriftFit) -> "Figure":
-    """Draw the offsets over temperature, of the gyroscopes where they were fitted."""
+    """Draw the offsets over temperature, those of the gyroscopes if they were fitted."""
     summary = summarise(fit, "gyro") or summarise(fit, "accel")
     if summary is None:
         raise InputError("plot: expected offsets over temperature, got none. Fit a static table first.")
@@ -207,9 +207,7 @@ def draw_drift(fit: DriftFit) -> "Figure":
 
 
 def draw_offsets(summary: TriadSummary) -> "Figure":
-    """Draw offset over temperature: blocks while warming and cooling, table with its nodes and 95 % band, extrapolated
-    ranges.
-    """
+    """Draw offset over temperature: blocks while warming and cooling, table with its nodes and 95 % band, extrapolated ranges."""
     unit, factor = SHOWN_UNIT[summary.unit]
     labels = [f"{axis} ({unit})" for axis in AXES]
     title = "" if summary.fit else "All poses together: a pose has no single offset"
@@ -219,7 +217,7 @@ def draw_offsets(summary: TriadSummary) -> "Figure":
         for axes, value in zip(panels[2 * k : 2 * k + 2], (table, 0.0 * table), strict=True):
             _draw_table(axes, summary.temp_c, value, doubt, summary.extrapolated)
             blocks = _draw_blocks(axes, summary, k, factor, value - table)
-            # a band that is wide outside the data leaves the panel
+            # a wide band outside the data may exceed the panel
             near = ~summary.extrapolated
             spread = np.quantile(blocks, (0.002, 0.998)) if len(blocks) else blocks
             seen = np.concatenate((value, (value - doubt)[near], (value + doubt)[near], spread))
@@ -249,7 +247,7 @@ def _draw_table(
 
 
 def _draw_blocks(axes: "Axes", summary: TriadSummary, k: int, factor: float, shift: FloatArray) -> FloatArray:
-    """Draw the offsets of the blocks, moved by a shift at the nodes, and return where they lie."""
+    """Draw the offsets of the blocks, shifted by values at the nodes, and return their positions."""
     if summary.fit is None:
         return np.zeros(0)
     few = slice(None, None, max(1, len(summary.block_cooling) // MOST_POINTS))
@@ -265,8 +263,8 @@ def _draw_blocks(axes: "Axes", summary: TriadSummary, k: int, factor: float, shi
 
 
 def draw_scale(fit: ScaleFit) -> "Figure":
-    """Draw scale factors over temperature: soaks with 95 % bars, table with its band, extrapolated ranges. Only axes
-    that turned are drawn.
+    """Draw scale factors over temperature: soaks with 95 % bars, table with its band, extrapolated ranges. Only axes with turns are
+    drawn.
     """
     scales = fit.soaks.forward.diagonal(axis1=1, axis2=2)
     turned = [k for k in range(3) if np.isfinite(scales[:, k]).any()]
@@ -286,7 +284,7 @@ def draw_scale(fit: ScaleFit) -> "Figure":
 
 
 def draw_dynamic(drift: DynamicDrift) -> "Figure":
-    """Draw dynamic drift over the measured rate for a few temperatures. Only axes that turned are drawn."""
+    """Draw dynamic drift over the measured rate for a few temperatures. Only axes with turns are drawn."""
     turned = [k for k in range(3) if drift.error[:, :, k].any()]
     labels = [f"{AXES[k]}: correction (deg/s)" for k in turned]
     figure, panels = figures.new_figure(*labels, x="measured rate (deg/s)", height=1.7)

@@ -1,9 +1,8 @@
-"""Pictures: each function draws a result as a matplotlib Figure. :func:`svg_of` converts it to text for a page or a
-file.
+"""Figures: each function draws a result as a matplotlib Figure. :func:`svg_of` converts it to text for a page or a file.
 
 Colours keep one meaning throughout: the device in blue, the optics in black, errors in orange, limits in grey. Axes x,
 y and z and levels of compensation also have a dash or a marker, because some readers cannot distinguish the colours.
-Figures are 4.8 inches wide, so that their text keeps 9 pixels on a screen of 390.
+Figures are 4.8 inches wide, so that their text has at least 9 pixels on a screen 390 pixels wide.
 """
 
 import io
@@ -46,9 +45,9 @@ SHADE, SATURATED = "#f1efe8", "#b0198f"
 AXIS_COLOURS = ("#cc3311", "#007d5e", "#2b62b3")  # x, y, z
 AXIS_DASHES, AXIS_MARKERS = ("-", "--", ":"), ("o", "s", "^")
 LEVEL_COLOURS, LEVEL_MARKERS = (LIMIT, ERROR, DEVICE, "#9a6a00", "#3f8f4f"), ("o", "s", "^", "D", "v")
-COLUMNS_DRAWN = 1200  # more than a picture shows apart
-WIDTH, TEXT_PT, LEAST_SIZE = 4.8, 9.0, 8.7  # inches, and points of the usual and of the smallest text
-_LETTER = 0.58  # usual width of a letter, of the size of its text
+COLUMNS_DRAWN = 1200  # largest number of points that a figure can resolve
+WIDTH, TEXT_PT, LEAST_SIZE = 4.8, 9.0, 8.7  # width, inches, and usual and smallest text size, points
+_LETTER = 0.58  # usual width of a letter, relative to the text size
 _LABELS_PT = 56.0  # width of the labels of an axis next to a panel
 _UNDATED: Any = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}  # the same figure gives the same bytes
 _STYLE: Any = {  # matplotlib types every key by name
@@ -71,7 +70,7 @@ _STYLE: Any = {  # matplotlib types every key by name
 def new_figure(
     *labels: str, x: str = "", title: str = "", height: float = 2.0, columns: int = 1, **grid: Any
 ) -> tuple["Figure", list["Axes"]]:
-    """Return a figure in the house style, and its panels: a row for each label of a y axis. ``x`` labels the last row."""
+    """Return a figure in the house style, and its panels: one row per label of a y axis. ``x`` labels the last row."""
     import matplotlib as mpl
 
     with mpl.rc_context(_STYLE):
@@ -88,7 +87,7 @@ def new_figure(
 
 @cache
 def _figure_class() -> type["Figure"]:
-    """Return matplotlib's Figure in a form that notebooks show without pyplot."""
+    """Return matplotlib's Figure in a form that notebooks display without pyplot."""
     from matplotlib.figure import Figure
 
     class NotebookFigure(Figure):
@@ -99,7 +98,7 @@ def _figure_class() -> type["Figure"]:
 
 
 def svg_of(figure: "Figure", *, outlines: bool = False) -> str:
-    """Return a figure as SVG text with a description. The same figure gives the same bytes. Letters are outlines,
+    """Return a figure as SVG text with a description. The same figure gives the same bytes. Letters are drawn as outlines,
     independent of fonts.
     """
     from matplotlib.text import Text
@@ -127,7 +126,7 @@ def _saved(figure: "Figure", style: Any = None, **how: Any) -> bytes:
     for axes in figure.axes:
         _plain_log(axes)
     for text in figure.findobj(Text):
-        text.set_parse_math(False)  # a dollar in the name of a file is a dollar
+        text.set_parse_math(False)  # a dollar sign in a file name is literal
     buffer = io.BytesIO()
     with mpl.rc_context(_STYLE | (style or {})):
         figure.savefig(buffer, **how)
@@ -135,7 +134,7 @@ def _saved(figure: "Figure", style: Any = None, **how: Any) -> bytes:
 
 
 def _plain_log(axes: "Axes") -> None:
-    """Label logarithmic axes by plain numbers: the powers of a formula are too small to read."""
+    """Label logarithmic axes with plain numbers, because exponents are too small to read."""
     from matplotlib.ticker import FuncFormatter, LogFormatter, LogLocator, NullFormatter
 
     for axis in (axes.xaxis, axes.yaxis):
@@ -157,7 +156,7 @@ def _describe_figure(figure: "Figure") -> str:
 
 
 def axis_style(k: int, *, marked: bool = False) -> dict[str, Any]:
-    """Return colour, and dash or a few markers, of the line of axis x, y or z."""
+    """Return the line style of axis x, y or z: colour, and a dash or a few markers."""
     marker: dict[str, Any] = {"marker": AXIS_MARKERS[k], "markevery": (0.05 * k, 0.15), "markersize": 4.0}
     return {"color": AXIS_COLOURS[k]} | (marker if marked else {"linestyle": AXIS_DASHES[k]})
 
@@ -181,7 +180,7 @@ def named(axes: "Axes") -> dict[str, Any]:
 
 
 def legend_above(axes: "Axes") -> None:
-    """Write a legend between the panel and the content above it, each name once, in as many columns as fit."""
+    """Draw a legend between the panel and the content above it, with each name once, in as many columns as fit."""
     across = axes.get_subplotspec().get_gridspec().ncols if axes.get_subplotspec() else 1  # type: ignore[union-attr]
     room_pt = 72.0 * WIDTH / across - _LABELS_PT
     where: Any = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.2}
@@ -189,13 +188,15 @@ def legend_above(axes: "Axes") -> None:
 
 
 def legend_outside(figure: "Figure", marks: Mapping[str, Any]) -> None:
-    """Write a legend of lines and marks by their names below all panels, in as many columns as fit."""
+    """Draw a legend of lines and marks below all panels, in as many columns as fit."""
     figure.legend(**_legend(marks, 72.0 * WIDTH) | {"loc": "outside lower left"})
 
 
 def _legend(marks: Mapping[str, Any], room_pt: float) -> Any:
-    """Return the content of a legend in lines that fit, and how many columns of them do."""
-    labels = [_wrapped(name, room_pt - 5.5 * TEXT_PT) for name in marks]  # a handle with its gaps, and the frame
+    """Return the content of a legend in lines that fit, and the number of columns that fit."""
+    labels = [
+        _wrapped(name, room_pt - 5.5 * TEXT_PT) for name in marks
+    ]  # width of a handle with its gaps, and of the frame
     longest = max(len(line) for label in labels for line in label.split("\n"))
     columns = int(room_pt / ((_LETTER * longest + 4.0) * TEXT_PT))
     style = {"ncols": min(max(columns, 1), len(labels)), "fontsize": TEXT_PT, "columnspacing": 1.2, "frameon": False}
@@ -211,7 +212,7 @@ def _wrapped(text: str, room_pt: float, size: float = TEXT_PT) -> str:
 
 
 def envelope(time: FloatArray, values: FloatArray, columns: int = COLUMNS_DRAWN) -> tuple[FloatArray, FloatArray]:
-    """Return the points of a curve that its picture needs: the least and the largest of each column, in order of time.
+    """Return the points of a curve that a figure needs: the smallest and the largest value per column, in order of time.
     time (N,) s, values (N,) -> (M,) s, (M,).
     """
     if len(values) <= 2 * columns:
@@ -233,7 +234,7 @@ def draw_course(axes: "Axes", time: FloatArray, values: FloatArray, label: str =
 
 
 def draw_angle(axes: "Axes", time: FloatArray, angle: FloatArray, label: str = "", **style: Any) -> None:
-    """Draw an angle, rad, in degrees, without a line across where it jumps from +180 to -180."""
+    """Draw an angle, rad, in degrees, without a line at jumps from +180 to -180."""
     angle_deg = angle / RADIAN_PER_DEGREE
     angle_deg[1:][np.abs(np.diff(angle_deg)) > 180.0] = np.nan
     draw_course(axes, time, angle_deg, label, **style)
@@ -265,7 +266,7 @@ def draw_orientation(orientation: "Orientation") -> "Figure":
         if still is not None:
             shade(axes, [(float(time[still.start]), float(time[still.stop - 1]))])
     if limit is not None:
-        few = slice(None, None, max(1, len(time) // COLUMNS_DRAWN))  # a band is smooth
+        few = slice(None, None, max(1, len(time) // COLUMNS_DRAWN))  # the band is smooth
         pitch_deg, limit_deg = orientation.pitch[few] / RADIAN_PER_DEGREE, limit[few] / RADIAN_PER_DEGREE
         panels[1].fill_between(
             time[few], pitch_deg - limit_deg, pitch_deg + limit_deg, color=DEVICE, alpha=0.2, linewidth=0.0
@@ -291,7 +292,7 @@ def trial_figure(trial: "Trial") -> "Figure":
 
 
 def draw_levels(trials: Sequence["Trial"]) -> "Figure":
-    """Draw the pitch of the demo's worn trial, and its error at each level of correction, large and small: the motion shaded."""
+    """Draw the pitch of the demo's worn trial, and its error at each level of correction on two scales. The motion is shaded."""
     title = (
         "Optical pitch of a sit-to-stand task, and the pitch error at each level of correction. The motion is shaded."
     )
@@ -314,10 +315,10 @@ def _motion_of(trial: "Trial") -> list[tuple[float, float]]:
     return [(float(trial.time[start]), float(trial.time[stop - 1])) for start, stop in runs(trial.moving)]
 
 
-# ---- a recording, and the rests and turns in it
+# ---- a recording with its rests and turns
 
-_ROOM = 0.017  # room for each letter of a label, relative to the width of the picture
-_REASONS = 4  # that the legend lists
+_ROOM = 0.017  # width of a label's letter, relative to the width of the figure
+_REASONS = 4  # largest number of entries in the legend
 _LEVELS = {"still": 2.0, "turn": 1.0, "left out": 0.0}
 _SHOWN_UNIT = {"dps": "deg/s", "count": "counts"}
 
@@ -393,13 +394,13 @@ def _draw_gaps(panels: Sequence["Axes"], time: FloatArray, record: Record) -> di
 
 
 def _piece_style(piece: "Piece") -> dict[str, Any]:
-    """Return the look of a phase. Omitted phases are hatched."""
+    """Return the style of a phase. Omitted phases are hatched."""
     style = {"facecolor": DEVICE if piece.kind == "still" else ERROR, "edgecolor": "white", "linewidth": 0.6}
     return style | ({"alpha": 0.5, "hatch": "////"} if piece.why else {})
 
 
 def _draw_pieces(strip: "Axes", panels: Sequence["Axes"], time: FloatArray, pieces: Sequence["Piece"]) -> None:
-    """Draw a bar for each piece of a recording, its label where there is room, and a shade behind each still."""
+    """Draw a bar for each piece of a recording, with its label if there is space, and shade each still."""
     width_s, labelled_to = float(np.ptp(strip.get_xlim())), dict.fromkeys(_LEVELS.values(), float(time[0]) - 1e9)
     for piece in pieces:
         start, stop = float(time[piece.start]), float(time[piece.stop - 1])
@@ -415,7 +416,7 @@ def _draw_pieces(strip: "Axes", panels: Sequence["Axes"], time: FloatArray, piec
 
 
 def _counted(pieces: Sequence["Piece"], *, used: bool) -> dict[str, Any]:
-    """Return a mark for the legend for each kind of phase, by its count. Omitted phases have their reasons."""
+    """Return a legend entry for each kind of phase, with its count. Omitted phases have their reasons."""
     from matplotlib.patches import Patch
 
     groups = dict[tuple[str, bool], list["Piece"]]()
@@ -486,9 +487,7 @@ def draw_allan_fit(fit: "NoiseFit", triad: str, terms: Mapping[str, str]) -> "Fi
 
 
 def draw_sessions(outcome: "StudyOutcome") -> "Figure":
-    """Draw the error of each session against its duration: mean and 95th percentile of the devices, with a panel per
-    task.
-    """
+    """Draw the error of each session against its duration: mean and 95th percentile of the devices, with a panel per task."""
     labels = ["error (deg)"] * len(outcome.tasks)
     figure, panels = new_figure(*labels, x="session (min)", height=2.4)
     for panel, task in zip(panels, outcome.tasks, strict=True):
@@ -497,7 +496,7 @@ def draw_sessions(outcome: "StudyOutcome") -> "Figure":
         panel.plot(minutes, [row.mean_deg for row in rows], "o", color=DEVICE, label="mean")
         style: Any = {"color": ERROR, "markersize": 12.0, "label": "95 % of devices below"}
         panel.plot(minutes, [row.quantile_deg for row in rows], "_", **style)
-        for place, k in enumerate(np.argsort(minutes, kind="stable")):  # names of neighbours above and below
+        for place, k in enumerate(np.argsort(minutes, kind="stable")):  # names of neighbours alternate above and below
             text: Any = {"xytext": (4.0, -9.0 if place % 2 else 3.0), "textcoords": "offset points", "fontsize": 7}
             panel.annotate(rows[k].session.name, (minutes[k], rows[k].mean_deg), **text)
         for target in outcome.study.target_deg:
@@ -509,7 +508,7 @@ def draw_sessions(outcome: "StudyOutcome") -> "Figure":
 
 
 def draw_figure3(figure3: "Figure3", names: Sequence[str]) -> "Figure":
-    """Draw the note's Figure 3: pitch, errors for each compensation, simulated against actual, largest errors."""
+    """Draw the note's Figure 3: pitch, errors for each compensation, simulated versus actual, largest errors."""
     labels = ("pitch (deg)", "error (deg)", "difference (deg)", "largest error (deg)")
     figure, panels = new_figure(*labels, x="left: simulated, right: actual", height=1.75, sharex=False)
     pitch, error, difference, largest = panels
@@ -544,7 +543,7 @@ def draw_figure3(figure3: "Figure3", names: Sequence[str]) -> "Figure":
 
 
 def draw_bars(names: Sequence[str], values: Mapping[str, Sequence[float]], *, title: str, label: str) -> "Figure":
-    """Draw a group of bars for each name, a bar for each row of values (n,)."""
+    """Draw a group of bars for each name, with one bar per row of values (n,)."""
     height = 0.5 + 0.18 * len(names) * (len(values) + 1)
     figure, (axes,) = new_figure("", x=label, title=title, height=height)
     width = 0.8 / len(values)
@@ -560,7 +559,7 @@ def draw_bars(names: Sequence[str], values: Mapping[str, Sequence[float]], *, ti
 
 
 def _name_rows(axes: "Axes", names: Sequence[str]) -> None:
-    """Write names at the places 0, 1, 2 and so on, from above."""
+    """Write names at the positions 0, 1, 2 and so on, from the top."""
     axes.set_yticks(range(len(names)), [textwrap.fill(name, 20) for name in names])
     axes.set_ylim(len(names) - 0.5, -0.5)
 
@@ -583,7 +582,7 @@ def draw_people_agreement(table: "LevelTable", summary: "LevelSummary") -> "Figu
     if summary.agreement is None:
         raise InputError("agreement: expected ten people or more, got fewer. Add people.")
     bias_deg, limits_deg = summary.agreement.bias, summary.agreement.limits
-    x = "mean of device and optics (deg), one point a person"
+    x = "mean of device and optics (deg), one point per person"
     figure, (axes,) = new_figure("device - optics (deg)", x=x, height=3.0)
     axes.scatter(means.mean(axis=1), means[:, 0] - means[:, 1], color=DEVICE, s=28)
     axes.axhline(bias_deg, color=ERROR)
@@ -595,7 +594,7 @@ def draw_people_agreement(table: "LevelTable", summary: "LevelSummary") -> "Figu
 
 
 def draw_level_errors(table: "LevelTable") -> "Figure":
-    """Draw the errors at each level of correction: every trial by each method, simulated devices, and means over people, 95 %."""
+    """Draw the errors at each level of correction: every trial with each method, simulated devices, and means over people, 95 %."""
     summaries = [row for row in table.summaries if row.group == "all" and row.people]
     levels = list(dict.fromkeys(row.level for row in summaries))
     title = f"Levels of correction: {table.quantity} error, rms over the motion"
@@ -614,7 +613,7 @@ def draw_level_errors(table: "LevelTable") -> "Figure":
             panel.plot(values, np.full(len(values), at), marker, color=colour, label=label, **dots)  # type: ignore[arg-type]
     for row in summaries:
         below, above = row.mean_deg - row.interval_deg[0], row.interval_deg[1] - row.mean_deg
-        reach = np.nan_to_num([[min(below, 0.9 * row.mean_deg)], [above]])  # an axis of logarithms has no zero
+        reach = np.nan_to_num([[min(below, 0.9 * row.mean_deg)], [above]])  # a logarithmic axis has no zero
         style: Any = {"fmt": "|", "color": OPTICS, "capsize": 2.0, "label": "mean over people, 95 %"}
         panel.errorbar([row.mean_deg], [places[row.level, row.method]], xerr=reach, **style)
     _name_rows(panel, levels)
@@ -624,7 +623,7 @@ def draw_level_errors(table: "LevelTable") -> "Figure":
 
 
 def draw_held_out(trials: Sequence["HeldOutTrial"]) -> "Figure":
-    """Draw the largest pitch differences in windows: every window, and the median of each recording."""
+    """Draw the largest pitch differences in windows: all windows, and the median of each recording."""
     title = f"Held out: largest pitch difference in windows of {trials[0].window_s:g} s"
     x, height = "pitch, simulated minus real (deg)", 0.6 + 0.35 * len(trials)
     figure, (panel,) = new_figure("", x=x, title=title, height=height)

@@ -1,8 +1,7 @@
-"""The frame of every report page: a self-contained HTML file, from ``page.html.j2`` and ``page.css``, without scripts.
+"""Frame of every report page: a self-contained HTML file without scripts, from ``page.html.j2`` and ``page.css``.
 
-A page begins with its answer in a sentence and a picture. Then come the verdict with at most three findings, tables and
-figures, folded details (open in print), and provenance. Figures follow the colour scheme of the reader. page.css defines
-their dark colours.
+A page begins with its answer in a sentence and a figure. Then come the verdict with at most three findings, tables and figures,
+folded details (open in print), and provenance. Figures follow the colour scheme of the reader. page.css defines their dark colours.
 """
 
 import os
@@ -36,7 +35,7 @@ class Origin:
     """Command and input files of a page, and its date."""
 
     command: str = ""
-    inputs: tuple[tuple[str, str], ...] = ()  # File and sha256
+    inputs: tuple[tuple[str, str], ...] = ()  # file and sha256
     date: str = field(default_factory=today)
 
 
@@ -81,7 +80,7 @@ def notebook_text(report: Report) -> str:
 
 
 def _inline(svg: str, number: int, palette: set[str]) -> str:
-    """Return a picture as a part of a page: no names of other places, own ids, colours that follow the scheme."""
+    """Return a figure as part of a page, without external names, with its own ids, and with colours that follow the scheme."""
     svg = re.sub(r"<metadata>.*?</metadata>|<\?xml.*?\?>|<!DOCTYPE.*?>| xmlns(:\w+)?=\"[^\"]*\"", "", svg, flags=re.S)
     svg = re.sub(
         r"<svg ([^>]*?)>", lambda m: "<svg " + re.sub(r'(width|height|version)="[^"]*" ?', "", m[1]) + ">", svg
@@ -91,7 +90,7 @@ def _inline(svg: str, number: int, palette: set[str]) -> str:
     svg = re.sub(r'(url\(#|href="#)', rf"\g<1>p{number}", svg).replace("xlink:href", "href")
     svg = re.sub(
         r'(<rect[^>]*) fill="(#[0-9a-f]{6})"', r'\1 style="fill: \2"', svg
-    )  # of a hatch: an attribute takes no variable
+    )  # colours of a hatch, because an attribute cannot contain a variable
     return re.sub(
         r"(?<=: )#([0-9a-f]{6})\b", lambda m: f"var(--c{m[1]}, #{m[1]})" if m[1] in palette else f"#{m[1]}", svg
     )

@@ -1,4 +1,4 @@
-"""The result of a command: one answer with its findings, tables and figures.
+"""Result of a command: one answer with findings, tables and figures.
 
 A command returns a ``Report``. The terminal (``terminal.show``), the page (``page.write_page``) and JSON (``as_json``)
 show the same tables. Cells are numbers, and only a renderer formats them.
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Plain: TypeAlias = bool | int | float | str | Sequence["Plain"] | Mapping[str, "Plain"] | None
-Drawing: TypeAlias = Callable[[], "Figure"]  # called by the page only
+Drawing: TypeAlias = Callable[[], "Figure"]  # function that only the page calls
 NO_VALUE = "–"
 
 
@@ -48,14 +48,14 @@ Cell: TypeAlias = float | int | str | bool | Estimate | None
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Table:
-    """A table with its note and figure. Without rows, it is a figure or a note under a title, or is not shown.
+    """A table with its note and figure. Without rows, it is a figure or a note with a title, or is not shown.
 
     Parameters
     ----------
     title : str
         Heading. The key of the table in JSON is the title in lower case with underscores.
     columns : sequence of str
-        Heads with units, each different.
+        Column heads with units, all different.
     rows : sequence of sequences
         Cells: numbers in the unit of the head, words, or None.
     form : str or mapping
@@ -75,13 +75,13 @@ class Table:
 
     @classmethod
     def of(cls, title: str, rows: Sequence[Mapping[str, Cell]], *, note: str = "", **more: Any) -> "Table":
-        """Return a table of rows, each a mapping from column head to cell. A table without rows is not shown."""
+        """Return a table from rows, each a mapping from column head to cell. A table without rows is not shown."""
         if not rows:
             return cls(title=title)
         return cls(title=title, columns=[*rows[0]], rows=[tuple(row.values()) for row in rows], note=note, **more)
 
     def __bool__(self) -> bool:
-        """Return whether there is anything to show."""
+        """Return True if there is anything to show."""
         return bool(self.rows or self.note or self.figure)
 
     @property
@@ -115,9 +115,9 @@ class Report:
     notes : sequence of str
         Sentences for the record.
     findings : sequence of Finding
-        What speaks against the result. Verdict and exit code follow from their levels.
+        Doubts about the result. Verdict and exit code follow from their levels.
     judged : bool
-        Whether the verdict is shown if it is good.
+        True if the verdict is shown even if it is good.
     figures : sequence of callables
         Functions that draw matplotlib Figures. The first one follows the answer.
     written : sequence of Path
@@ -147,7 +147,7 @@ class Report:
 
     @property
     def verdict_shown(self) -> bool:
-        """Return whether a reader needs the verdict."""
+        """Return True if the verdict is shown."""
         return self.judged or self.status != "good"
 
     @property
@@ -157,7 +157,7 @@ class Report:
 
     @property
     def ordered_findings(self) -> tuple[Finding, ...]:
-        """Return each finding once, the most consequential first."""
+        """Return each finding once, starting with the most consequential."""
         return most_consequential_first(self.findings)
 
     def __str__(self) -> str:
@@ -212,7 +212,7 @@ def plain(value: object) -> Plain:
     if hasattr(value, "tolist"):  # arrays and numbers of numpy
         return plain(value.tolist())
     if isinstance(value, float):
-        return value + 0.0 if math.isfinite(value) else None  # no -0.0
+        return value + 0.0 if math.isfinite(value) else None  # avoids -0.0
     if value is None or isinstance(value, str | int):
         return value
     if isinstance(value, Sequence | set | frozenset):

@@ -1,4 +1,4 @@
-"""The report of a study: the cheapest session that is good enough, and the tables behind it."""
+"""Report of a study: the cheapest session that is good enough, and the tables that support it."""
 
 import math
 from collections.abc import Sequence
@@ -17,16 +17,16 @@ from undrift.study.judge import Answer, StudyOutcome, TaskOutcome, breakdown_ses
 from undrift.study.plan import HEADINGS, TABLE_1
 from undrift.study.sessions import CalibrationSession
 
-FEWEST = 20  # devices, of which one lies above the 95 % quantile
+FEWEST = 20  # smallest number of devices of which one exceeds the 95 % quantile
 OFFSETS = {
     "rest": "with the offset of the rest subtracted",
     "motion": "with the offset from the motion subtracted",
     "none": "no offset subtracted",
 }
 GOOD_ENOUGH = (
-    "Good enough: 95 % of the simulated devices, each on a person of its own, stay below the target. A session is tested "
+    "Good enough: 95 % of the simulated devices, each on a different person, stay below the target. A session is tested "
     "with other devices on the other group of people. All figures are simulated, and errors apply to a device that "
-    "is fixed to the bone: its attachment to the body adds about 1 deg, whichever session is chosen."
+    "is fixed to the bone: the attachment to the body adds about 1 deg for every session."
 )
 SLOPE_OF_THE_NOTE = (
     "The slope of the offset over temperature in the preset was chosen to match Figure 3 of the note. The error without "
@@ -39,11 +39,11 @@ NOTE = (
 
 
 def study_report(outcome: StudyOutcome, figure: Figure3 | None, folder: Path) -> Report:
-    """Return the answer first, then the tables behind it."""
+    """Return the report of a study: the answer first, then the supporting tables."""
     notes = [NOTE]
     if outcome.subjects < FEWEST:
         notes.append(
-            f"{outcome.subjects} devices do not determine the error that 95 % of devices stay below. Study {FEWEST} or "
+            f"{outcome.subjects} devices do not determine the error below which 95 % of devices stay. Study {FEWEST} or "
             "more for a result."
         )
     return Report(
@@ -71,7 +71,7 @@ def name_of(task: TaskOutcome) -> str:
 
 
 def chosen_sessions(outcome: StudyOutcome) -> list[CalibrationSession]:
-    """Return the sessions that are an answer, each once."""
+    """Return each session that is an answer, once."""
     answers = (*outcome.for_all, *(answer for task in outcome.tasks for answer in task.answers))
     names = dict.fromkeys(answer.session for answer in answers if answer.session)
     sessions = {session.name: session for session in outcome.study.sessions}
@@ -104,7 +104,7 @@ def _sentence(answers: Sequence[Answer], outcome: StudyOutcome) -> str:
 
 
 def _assumed(outcome: StudyOutcome) -> str:
-    """Return the share of the error of each answer that rests on assumed figures of the device."""
+    """Return the share of each answer's error that depends on assumed properties of the device."""
     shares = [
         f"{100.0 * share:.0f} % ({name_of(task)}, {breakdown_session(task)})"
         for task in outcome.tasks
@@ -112,7 +112,7 @@ def _assumed(outcome: StudyOutcome) -> str:
         if name == ASSUMED
     ]
     return (
-        f" Share of its mean square error that rests on assumed figures of the device: {', '.join(shares)}."
+        f" Share of the mean square error that depends on assumed properties of the device: {', '.join(shares)}."
         if shares
         else ""
     )
@@ -132,7 +132,7 @@ def _for_all(outcome: StudyOutcome) -> Table:
             rows.append(row | (test if tested else dict.fromkeys(test)))
     note = GOOD_ENOUGH + _assumed(outcome)
     if outcome.study.shipped:
-        note += " Fits that come with undrift were used if available. One of them was made again for comparison, and agrees."
+        note += " Fits that come with undrift were used if available. One of them was computed again for comparison, and agrees."
     return Table.of("The cheapest session that is good enough", rows, form="g", note=note)
 
 
@@ -160,11 +160,11 @@ def _sessions(outcome: StudyOutcome, task: TaskOutcome) -> Table:
                 "devices that fail": row.failed,
             }
         )
-    timing = "aligned in time, as the note compares" if study.timing == "aligned" else "in real time"
+    timing = "aligned in time, as in the note" if study.timing == "aligned" else "in real time"
     low_k, high_k = study.excursion_k
     note = (
         f"Root mean square of the pitch error over the motion, {timing}: {outcome.subjects} devices, {low_k:g} to "
-        f"{high_k:g} K above the room, {OFFSETS[study.offset]}. Against the best: better or worse by more than "
+        f"{high_k:g} K above room temperature, {OFFSETS[study.offset]}. Against the best: better or worse by more than "
         f"{study.margin_deg:g} deg, or equivalent within it. The error rate of all these tests together is 5 %."
     )
     form = dict.fromkeys(("mean (deg)", "95 % from", "to", "one device from", "one device to"), ".3f")
@@ -184,9 +184,7 @@ def _sensitivity(outcome: StudyOutcome) -> Table:
         | {name: errors[rise, offset, name] for name in names}
         for rise, offset in dict.fromkeys((rise, offset) for rise, offset, *_ in outcome.sensitivity)
     ]
-    note = (
-        f"{name_of(outcome.tasks[0])}: error that 95 % of devices stay below (deg), for other temperatures and offsets."
-    )
+    note = f"{name_of(outcome.tasks[0])}: error below which 95 % of devices stay (deg), for other temperatures and offsets."
     return Table.of("Sensitivity", rows, form=".2f", note=note)
 
 
@@ -198,8 +196,8 @@ def _breakdown(outcome: StudyOutcome) -> Table:
         if task.breakdown
     ]
     note = (
-        "Share of the mean square error that disappears if one kind of error is switched off. Kinds act together, so shares need "
-        "not add up to 100 %."
+        "Share of the mean square error that disappears if one kind of error is switched off. Kinds interact, so shares need not "
+        "add up to 100 %."
     )
     return Table.of("Sources of the error", rows, form=".0f", note=note)
 
@@ -229,7 +227,7 @@ def _table_1(task: TaskOutcome) -> Table:
     note = (
         "Each number is varied by itself. The other three keep their values. The row with the value of the task has the "
         "span of the means, and F of repeated-measures ANOVA with the Greenhouse-Geisser correction. The verdict uses the "
-        "margin of the study, because p falls with every device that is added."
+        "margin of the study, because p decreases with every additional device."
     )
     for key, row in TABLE_1.items():
         if key == task.task.name and task.task.tried and task.task.tried.around == row.numbers:
@@ -241,7 +239,7 @@ def _table_1(task: TaskOutcome) -> Table:
 
 
 def _table_2(outcome: StudyOutcome) -> Table:
-    """Return both groups of people beside the note's Table 2."""
+    """Return both groups of people next to the note's Table 2."""
     rows = list[tuple[Cell, ...]]()
     for group, (note_ages, note_heights) in TABLE_2.items():
         people = cohort(group, rng=stream(outcome.study.seed, "cohort", group, 0))
@@ -259,7 +257,7 @@ def _figure3(figure: Figure3) -> Table:
     note = (
         f"Board {figure.excursion_k:g} K above the bench. Compensation removes {figure.decrease_deg:.2f} deg of the actual "
         f"device's largest error (the note: more than 3.2). With all tables the two errors differ by at most "
-        f"{figure.simulated_actual_max_deg[2]:.2f} deg (the note: 0.15). The actual device is the simulated one with "
+        f"{figure.simulated_actual_max_deg[2]:.2f} deg (the note: 0.15). The actual device is the simulated device with "
         f"hysteresis, thermometer lag, non-linearity of the converter and g-sensitivity. {SLOPE_OF_THE_NOTE}"
     )
     return Table(
@@ -279,7 +277,7 @@ def _figure3(figure: Figure3) -> Table:
 
 
 def _methods(outcome: StudyOutcome) -> Table:
-    """Return the methods that undrift offers and the note's rivals."""
+    """Return the table of undrift's methods and the note's rivals."""
     rows = list[dict[str, Cell]]()
     for row in outcome.methods:
         cells: dict[str, Cell] = {
@@ -294,8 +292,8 @@ def _methods(outcome: StudyOutcome) -> Table:
     form = {head: ".0f" if head == "minutes" else ".2f" for head in (rows[0] if rows else ())}
     note = (
         "Mean error of the pitch with its 95 % interval. All methods calibrate the same devices, which perform the same "
-        "trials. Tilt is measured by the accelerometers only. A triad that a method does not calibrate keeps its data "
-        "sheet, with the offset of a rest. Each rival has one specified instrument error."
+        "trials. Tilt is measured by the accelerometers only. A triad that a method does not calibrate uses its data sheet, with "
+        "the offset of a rest. Each rival has one specified instrument error."
     )
     return Table.of("Methods and rivals", rows, form=form, note=note)
 

@@ -1,6 +1,6 @@
 """A report on a terminal: answer, verdict with at most three findings, tables, notes and written files.
 
-Lines are broken at spaces, to the width of the terminal. Brackets in names are not markup.
+Lines are broken at spaces to fit the width of the terminal. Brackets in names are not markup.
 """
 
 import shlex
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 COLOURS = {"good": "green", "marginal": "yellow", "bad": "red"}
-GAPS = ((3, " ("), (1, " ("), (1, " "))  # between columns, and where heads break: from wide to narrow
+GAPS = ((3, " ("), (1, " ("), (1, " "))  # gaps between columns, and places at which heads break, from wide to narrow
 
 
 def show(report: Report, *, details: bool = False) -> None:
@@ -38,7 +38,7 @@ def show(report: Report, *, details: bool = False) -> None:
 
 
 def say(*lines: str, err: bool = False, style: str = "") -> None:
-    """Print lines unchanged, broken only at spaces."""
+    """Print lines unchanged, with breaks only at spaces."""
     out = console(err=err)
     for line in (line for text in lines for line in spoken(text).split("\n")):
         for segment in [line] if out.soft_wrap else wrap(line, out.width):
@@ -46,11 +46,11 @@ def say(*lines: str, err: bool = False, style: str = "") -> None:
 
 
 def console(*, err: bool = False) -> "Console":
-    """Return the console for results (stdout) or messages (stderr). Without a terminal it is as wide as a table needs."""
+    """Return the console for results (stdout) or messages (stderr). Without a terminal, it is as wide as a table needs."""
     from rich import console as rich
 
     class Console(rich.Console):
-        def on_broken_pipe(self) -> None:  # the reader of stdout, such as head, has seen enough: no failure
+        def on_broken_pipe(self) -> None:  # the reader of stdout has stopped: no failure
             raise BrokenPipeError
 
     terminal = (sys.stderr if err else sys.stdout).isatty()

@@ -1,4 +1,4 @@
-"""The report of a validation: errors in degrees beside their predicted limits, and at each level of correction."""
+"""Report of a validation: errors in degrees next to their predicted limits, and at each level of correction."""
 
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -27,12 +27,12 @@ ERRORS = {
     "lag (ms)": "lag_ms",
 }
 PITCH_DEFINED = (
-    "pitch %: share of the samples in which pitch is defined. It is left out if the body is within 5 deg of lying on "
-    "its side. Near that position, pitch max may exceed the error in space."
+    "pitch %: share of the samples in which pitch is defined. Pitch is undefined if the body is within 5 deg of lying on its "
+    "side. Near that position, pitch max may exceed the error in space."
 )
 PREDICTED = (
-    "Predicted from the uncertainty of the calibration and from the changes of a device between recordings: 95 % of the "
-    "errors do not exceed it."
+    "Predicted from the uncertainty of the calibration and from the changes of a device between recordings: 95 % of the errors do "
+    "not exceed these limits."
 )
 
 
@@ -43,18 +43,20 @@ class Comparison:
     result: Validation
     levels: LevelTable
     settings: TrialSettings
-    calibration: Calibration | None  # that was read, or fitted to all recordings
+    calibration: Calibration | None  # calibration that was read, or fitted to all recordings
     source: str  # file of the calibration, empty if it was fitted to the references
-    files: tuple[tuple[str, str], ...]  # each recording and its reference, empty if the recording contains it
+    files: tuple[
+        tuple[str, str], ...
+    ]  # paths of each recording and its reference, the latter empty if the recording contains it
 
     @property
     def fitted(self) -> bool:
-        """Whether the calibration was fitted to the references."""
+        """Return True if the calibration was fitted to the references."""
         return self.calibration is not None and not self.source
 
     @property
     def offset_subtracted(self) -> bool:
-        """Whether an offset was taken from the recordings themselves."""
+        """Return True if an offset from the recordings was subtracted."""
         return any(trial.rest is not None for trial in self.result.trials)
 
 
@@ -97,7 +99,7 @@ def validation_report(compared: Comparison, findings: tuple[Finding, ...], notes
 
 
 def _answer(compared: Comparison) -> str:
-    """Return the error before and after, and whether it is within the predicted limits."""
+    """Return a sentence with the error before and after, and with its comparison with the predicted limits."""
     result, quantity = compared.result, compared.levels.quantity
     before = compared.levels.errors[0].error_deg  # the first level is uncalibrated
     parts = [f"{np.nanmedian(before):.3g} deg raw"] if np.isfinite(before).any() else []
@@ -123,7 +125,7 @@ def _correction(compared: Comparison) -> str:
 
 
 def errors_table(result: Validation) -> Table:
-    """Return the errors, one row a recording, with mean and median of several."""
+    """Return the errors, one row per recording, with mean and median of several recordings."""
     named = [(trial.recording, trial.figures) for trial in result.trials]
     named += [("mean", result.mean), ("median", result.median)] if len(named) > 1 else []
     rows: list[dict[str, Cell]] = [
@@ -156,7 +158,7 @@ def _predicted(trials: tuple[Trial, ...]) -> Table:
 
 
 def _method(compared: Comparison) -> str:
-    """Return how the errors were determined."""
+    """Return a description of the method of comparison."""
     settings = compared.settings
     above = f" if it exceeds {settings.align_above / RADIAN_PER_DEGREE:g} deg" if settings.align == "auto" else ""
     mounted = " The mounting of the calibration turned the readings." if settings.mounting else ""
@@ -209,11 +211,11 @@ def _trial_json(trial: Trial) -> dict[str, Any]:
 TRIAL = ("recording", "person", "task", "device")
 METHODS = {"strapdown": "gyroscopes", "vqf": "VQF"}
 SIMULATED = (
-    "Simulated: a device that errs exactly as its calibration says, in the same motion. Differs by: largest difference "
+    "Simulated: a device with exactly the errors that its calibration describes, in this motion. Differs by: largest difference "
     "between the actual and the simulated error at any time."
 )
 AGREEMENT = (
-    "Agreement of device and optics on the range of pitch, one mean per person, from ten people on: limits of Bland and "
+    "Agreement of device and optics on the range of pitch, one mean per person, for ten people or more: limits of Bland and "
     "Altman, ICC(2,1) within one task, and the smallest change that is more than measurement error (MDC95). An ICC "
     "depends on how much the people differ."
 )
@@ -225,7 +227,7 @@ def label_of(table: LevelTable, level: str, method: str) -> str:
 
 
 def level_tables(table: LevelTable) -> list[Table]:
-    """Return the errors at each level over all trials, and the agreement with the optics from ten people on."""
+    """Return the errors at each level over all trials, and for ten people or more the agreement with the optics."""
     return [_errors_table(table, "all"), _agreement(table)]
 
 
@@ -285,7 +287,7 @@ def _level_note(table: LevelTable, group: str) -> str:
     parts = [f"{table.quantity.capitalize()} error, root mean square over the motion, mean over people."]
     if any(summary.decision for summary in table.summaries):
         parts.append(
-            f"From three people on, each level is compared with the level above it: better, equivalent or worse by "
+            f"With three people or more, each level is compared with the level above it: better, equivalent or worse by "
             f"{table.margin_deg:g} deg, at 5 % over all levels."
         )
     if group == "all" and any(np.isfinite(errors.difference_deg).any() for errors in table.errors):

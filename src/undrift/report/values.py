@@ -1,4 +1,4 @@
-"""The report of each value that shows itself (``undrift.shown``)."""
+"""Reports of values that can be displayed (``undrift.shown``)."""
 
 from collections.abc import Callable
 from functools import singledispatch
@@ -31,7 +31,7 @@ report_of.register(DriftFit, drift_report)
 
 
 def _register(kind: type, draw: Callable[[Any], "Figure"]) -> None:
-    """Register a value that is shown as a table of its facts and a figure."""
+    """Register a type of value that is shown as a table of its facts and a figure."""
 
     def report_of_facts(value: Any) -> Report:
         rows = [*value.facts().items()]

@@ -21,7 +21,7 @@ COOKIE = "undrift_token"
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 SAFE = ("GET", "HEAD", "OPTIONS")
 FORM_BYTES = 65_536  # allowance for the names and lines around uploaded files
-HEADERS = {  # headers of every answer: load nothing from other sites, and allow no other site to frame the page
+HEADERS = {  # headers of every answer: load nothing from other sites, and forbid other sites to embed the page
     "Content-Security-Policy": "default-src 'self' data: blob:; script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' "
     "'unsafe-inline'; connect-src 'self' ws://OWN wss://OWN; frame-ancestors 'self'; form-action 'self'",
     "X-Content-Type-Options": "nosniff",
@@ -36,7 +36,7 @@ class Access:
         self._app, self._token, self._upload_mb = app, token, upload_mb
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer one request, or hand it on."""
+        """Answer a request, or pass it on."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
@@ -84,14 +84,14 @@ def refused(scope: Scope, token: str | None) -> str:
 
 
 def too_large(scope: Scope, upload_mb: float) -> str:
-    """Return why the content of a request is not read, "" where it is: it is too large, or its length is not stated."""
+    """Return the reason to reject the content of a request (too large, or unknown length), or "" if it is accepted."""
     headers = Headers(scope=scope)
     length = headers.get("content-length", "0")
     whole = "transfer-encoding" not in headers and length.isascii() and length.isdigit()
     if whole and int(length) <= upload_mb * 1e6 + FORM_BYTES:
         return ""
     return (
-        f"upload: files that are sent together may have {upload_mb:g} MB. Send a part of them, or restart the bench with a "
+        f"upload: files that are sent together may have {upload_mb:g} MB in total. Send fewer, or restart the bench with a "
         "larger --upload-mb."
     )
 

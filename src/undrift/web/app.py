@@ -1,4 +1,4 @@
-"""The server of the bench: the page and its files, for this computer only."""
+"""Server of the bench: serve the page and its files to this computer only."""
 
 import asyncio
 import contextlib
@@ -39,7 +39,7 @@ def _serve(settings: ServerSettings, ready: Callable[[str], None], lock: IO[str]
     config = uvicorn.Config(
         Access(application(bench, partial(ready, address)), settings.token, settings.upload_mb),
         log_level="warning", access_log=False, timeout_graceful_shutdown=2, server_header=False,
-        ws_max_size=1 << 20, ws_per_message_deflate=False,  # noise does not shrink, and the time of it is missed
+        ws_max_size=1 << 20, ws_per_message_deflate=False,  # noise is not compressible, and compression takes time
     )  # fmt: skip
     try:
         uvicorn.Server(config).run(sockets=[listener])
@@ -49,7 +49,7 @@ def _serve(settings: ServerSettings, ready: Callable[[str], None], lock: IO[str]
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """Return a socket that listens."""
+    """Return a listening socket."""
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

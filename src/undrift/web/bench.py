@@ -1,4 +1,4 @@
-"""State of the bench on the server: connected device, files and results, what was chosen and typed. The page shows it."""
+"""State of the bench on the server: connected device, files, results, choices and entries. The page displays this state."""
 
 import asyncio
 import json
@@ -34,7 +34,7 @@ from undrift.web.guided import Guided
 from undrift.web.items import ARRIVING, CALIBRATION, MAP, Item, items_in, read_object, safe_name
 
 PLACE, PRACTICE = "place.json", "practice"
-INTERNAL = re.compile(r"\b(?:uploads|jobs)/[^/\s\"]+/(?:session/)?")  # folders that no person needs to read
+INTERNAL = re.compile(r"\b(?:uploads|jobs)/[^/\s\"]+/(?:session/)?")  # folders that are removed from messages
 WORDS = {  # words of the page for the parameters of commands
     "column_map": "the columns and units", "sample_rate_hz": "the samples per second", "turn_deg": "the angle of each turn",
     "sensor": "the sensor", "serial": "the serial number", "calibration": "the calibration", "latitude_deg": "the latitude",
@@ -49,13 +49,13 @@ class ServerSettings:
     """Address and folder of the bench."""
 
     folder: Path  # folder of everything that the bench writes
-    port: int = 8765  # 0 takes a free one
-    token: str | None = None  # required in every request; None for no check on this computer
+    port: int = 8765  # 0 selects a free port
+    token: str | None = None  # token required in every request, or None for no check
     upload_mb: float = 500.0  # largest total size of files sent together, 1e6 bytes
 
 
 class Work(Screen):
-    """Progress of a command. A cancelled command ends when it reports progress the next time, and writes no output."""
+    """Progress of a command. A cancelled command ends at its next progress report, and does not write output."""
 
     def __init__(self, name: str) -> None:
         self.name, self.task, self.share, self.cancelled = name, "starting", 0.0, False
@@ -87,8 +87,8 @@ class Bench:
         self.found = list[tuple[str, str]]()  # addresses of devices, with a description
         self.guided: Guided | None = None
         self.work: Work | None = None
-        self.errors = dict[str, str]()  # by the button that caused them
-        self.version = 0  # counts changes, after which pages are drawn again
+        self.errors = dict[str, str]()  # errors by the button that caused them
+        self.version = 0  # number of changes; pages are redrawn after each change
         self.place = Place(**read_object(self.folder / PLACE))
         self.calibration = next((item.calibration for item in self.items if item.calibration), None)
         self.typed: dict[str, Any] = {"address": "", "offset": "none", "format": ".csv", "forward": "", "up": ""}
@@ -96,7 +96,7 @@ class Bench:
         self._one = asyncio.Lock()
 
     def changed(self) -> None:
-        """Let all pages draw themselves again."""
+        """Redraw all pages."""
         self.version += 1
 
     def go(self, step: str) -> None:
@@ -132,13 +132,13 @@ class Bench:
     # ---- The device
 
     async def connect(self, address: str) -> None:
-        """Connect a device in place of the previous one, and begin a guided recording."""
+        """Connect a device, which replaces the previous one, and begin a guided recording."""
         await self.disconnect()
         self.source = await self.call("Connecting", lambda: connected(self._address_of(address.strip())))
         self.begin()
 
     def _address_of(self, address: str) -> str:
-        """Return an address. The practice device is started if it is wanted, and stopped if it is not."""
+        """Return an address. Start the practice device if it is requested, and stop it otherwise."""
         if address != PRACTICE:
             self._stop_practice()
             return address
@@ -163,7 +163,7 @@ class Bench:
             raise InputError(" ".join(["No device was found. Connect it, switch it on, and look again.", *notes]))
 
     def begin(self) -> None:
-        """Begin a guided recording with the connected device. An earlier one keeps its folder."""
+        """Begin a guided recording with the connected device. An earlier recording keeps its folder."""
         if self.source is None:
             return
         stamp = f"{datetime.now():%Y-%m-%d-%H%M%S-%f}-{safe_name(self.source.name, 'device')}"
@@ -188,7 +188,7 @@ class Bench:
     # ---- Files
 
     async def receive(self, files: Sequence[FileUpload]) -> None:
-        """Store the files that a browser sent together, and add them. Incomplete files are never kept."""
+        """Store files that a browser sent together, and add them. Incomplete files are never kept."""
         paths = list[Path]()
         for file in files:
             name = safe_name(file.name, "recording")
@@ -198,7 +198,8 @@ class Bench:
         await self.add(paths)
 
     async def add(self, paths: Sequence[Path]) -> None:
-        """Add files that were sent together: as one recording if they are one, such as a phone's, otherwise each."""
+        """Add files that were sent together: as one recording if they form one, such as a phone export, otherwise each
+        separately."""
         if len(paths) > 1:
             together = paths[0].parent / "files"
             together.mkdir()
@@ -230,7 +231,7 @@ class Bench:
         self.changed()
 
     async def choose(self, item: Item) -> None:
-        """Choose a file, and read it unless it was read."""
+        """Choose a file, and read it unless it has been read already."""
         self._show(item, "Calibrate" if item.page("calibrate") else "Check")
         if item.looked is None and item.kind != "session":
             try:
@@ -241,7 +242,7 @@ class Bench:
                 self.changed()
 
     async def open_newest(self) -> None:
-        """Open the newest file or recording, as after a restart."""
+        """Open the newest file or recording, for example after a restart."""
         if self.items:
             await self.choose(self.items[0])
 
@@ -272,12 +273,12 @@ class Bench:
         await self._look(item)
 
     def inside(self, name: str) -> Path:
-        """Return a file of the bench from its path below the folder. Raise InputError for any other."""
+        """Return a file of the bench from its path below the folder. Raise InputError for any other path."""
         root = self.folder.resolve()
         try:
             path = (root / name).resolve()
             exists = path.is_relative_to(root) and path.is_file()
-        except (OSError, ValueError, RuntimeError):  # too long, a NUL, a ring of links
+        except (OSError, ValueError, RuntimeError):  # path too long, NUL character, or circular links
             exists = False
         if not exists:
             raise InputError("bench: only files that the bench wrote can be opened. Choose a file on the page.")
@@ -289,7 +290,7 @@ class Bench:
 
     @property
     def calibrations(self) -> dict[Path, str]:
-        """Return the calibrations by their files, the newest first."""
+        """Return the calibrations by file, the newest first."""
         return {item.calibration: f"{item.serial} ({item.arrival})" for item in self.items if item.calibration}
 
     # ---- Results
@@ -303,7 +304,7 @@ class Bench:
     async def calibrate(self, item: Item, *, motion: bool = False, accel_only: bool = False) -> None:
         """Calibrate from the rests and turns of a recording, or from its motion, and use the calibration from now on."""
         place = replace(self.place, serial=item.serial.strip())
-        if item.kind == "session":  # it states its serial number, and perhaps its gravity
+        if item.kind == "session":  # a session contains its serial number, and perhaps gravity
             place = Place() if states_gravity(item.path) else self.place
         output = item.folder / CALIBRATION
         options: dict[str, Any] = {"calibrate_from": "motion"} if motion else {"turn_deg": item.turn_deg}
@@ -348,7 +349,7 @@ class Bench:
         await self.call(command.__name__.capitalize(), run)
 
     def _keep(self, item: Item, command: str, report: Report) -> None:
-        """Keep the report of a command as a page. A certificate is a page of its own."""
+        """Store the report of a command as a page. A certificate is already a page."""
         item.reports[command] = report
         if command != "certificate":
             with calling(WORDS):

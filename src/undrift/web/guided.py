@@ -22,13 +22,13 @@ if TYPE_CHECKING:
     from undrift.web.bench import Bench
 
 PERIOD_S = 0.2
-MOST_S = 100.0  # longest stretch of readings that is taken at once, s
-SAID_AT = (6, 3)  # seconds left that are read out
+MOST_S = 100.0  # longest stretch of readings that is processed at once, s
+SAID_AT = (6, 3)  # remaining seconds that are announced to screen readers
 NAMES = {"face": {face: f"{face} up" for face in ORDER}, "turn": {way: named(way).capitalize() for way in WAYS}}
 
 
 class Guided:
-    """Captures of the connected device, which end when another recording is begun."""
+    """Captures of the connected device, which end when another recording begins."""
 
     def __init__(self, bench: "Bench", item: Item) -> None:
         self._bench, self.item = bench, item
@@ -39,7 +39,7 @@ class Guided:
 
     @property
     def guide(self) -> Guide:
-        """Return the guide at work: faces first, then turns."""
+        """Return the active guide: faces first, then turns."""
         return self.faces if self.faces.wanted is not None else self.turns
 
     async def _run(self) -> None:
@@ -49,7 +49,7 @@ class Guided:
             await asyncio.sleep(PERIOD_S)
 
     async def step(self, now_s: float) -> None:
-        """Take the newest readings, and write what is captured."""
+        """Process the newest readings, and write the captures."""
         source = self._bench.source
         record = None if source is None else source.recent(min((now_s - self._taken_s + 1.0) * source.speed, MOST_S))
         self._taken_s = now_s if record is not None else self._taken_s
@@ -68,12 +68,12 @@ class Guided:
             self.error, self.capture.saved = str(error), False
 
     def redo(self, guide: Guide, step: str) -> None:
-        """Record a step again, or cancel that."""
+        """Request a step again, or cancel the request."""
         guide.redo(None if guide.again == step else step)
         self._bench.changed()
 
     def move(self) -> None:
-        """Move the practice device as the guide asks."""
+        """Move the practice device as the guide requests."""
         device, guide = self._bench.practice, self.guide
         wanted, state = guide.wanted, guide.light.state
         if device is None or wanted is None or device.moving:
@@ -81,7 +81,7 @@ class Guided:
         face, axis = cast(Face, wanted if guide is self.faces else f"+{wanted[1]}"), cast(Axis, wanted[1])
         if device.face != face or state == "tilted":
             device.lay(face)
-        elif guide is self.turns and state in ("still", "captured"):  # not before the rest is long enough
+        elif guide is self.turns and state in ("still", "captured"):  # wait until the rest is long enough
             device.turn(axis, math.tau if wanted[0] == "+" else -math.tau)
 
 
@@ -154,7 +154,7 @@ def set_drawing(element: ui.element, *what: object) -> None:
 
 
 def _readings(bench: "Bench") -> str:
-    """Return the newest readings, means of 0.2 s in the device's own units."""
+    """Return the newest readings, means over 0.2 s in the device's units."""
     record = None if bench.source is None else bench.source.recent(0.2)
     return "" if record is None else ". ".join(
         f"{name}: {_three(values)} {unit}"

@@ -1,4 +1,4 @@
-"""Files and guided recordings in the folder of a bench. Each has a folder of its own, with its results.
+"""Files and guided recordings in the folder of a bench. Each has a separate folder, which also contains its results.
 
 ::
 
@@ -8,7 +8,7 @@
         map.toml             columns and units, if a person confirmed them
         calibration.json     and other results, each with its report COMMAND.html
 
-Every file is written in a single step, so that a bench that is killed loses nothing. Only one bench can use a folder.
+Every file is written in a single step, so that no data are lost if the bench is killed. Only one bench can use a folder.
 """
 
 import json
@@ -27,7 +27,7 @@ from undrift.errors import InputError
 from undrift.files import take_lock, write_whole
 from undrift.report import Report
 
-ABOUT, LOCK, ARRIVING = ".bench.json", ".lock", "sent.part"  # no upload is called so
+ABOUT, LOCK, ARRIVING = ".bench.json", ".lock", "sent.part"  # name that no upload has
 MAP, CALIBRATION = "map.toml", "calibration.json"
 RESULTS = {  # files that each command writes
     "info": (),
@@ -55,9 +55,9 @@ class Item:
     sample_rate_hz: float | None = None  # sample rate of a file without time
     sensor: str | None = None  # selected sensor of a file with several sensors
     turn_deg: float | None = None  # angle of the turns of a recording
-    draft: dict[str, Any] = field(default_factory=dict)  # map that is proposed, with "?" for what nothing shows
-    looked: Looked | None = None  # content, once it was read
-    reports: dict[str, Report] = field(default_factory=dict)  # by command, since the bench was started
+    draft: dict[str, Any] = field(default_factory=dict)  # proposed map, with "?" for unknown entries
+    looked: Looked | None = None  # content, after it has been read
+    reports: dict[str, Report] = field(default_factory=dict)  # reports by command, since the bench was started
 
     @property
     def name(self) -> str:
@@ -66,24 +66,24 @@ class Item:
 
     @property
     def opening(self) -> Opening:
-        """Return how commands read it."""
+        """Return the settings with which commands read the item."""
         mapped = self.folder / MAP
         column_map = mapped if mapped.is_file() else None
         return Opening(column_map=column_map, sample_rate_hz=self.sample_rate_hz, sensor=self.sensor)
 
     @property
     def calibration(self) -> Path | None:
-        """Return the calibration that it is, or that was made of it."""
+        """Return the item itself if it is a calibration, otherwise the calibration made from it."""
         path = self.path if self.kind == "calibration" else self.folder / CALIBRATION
         return path if path.is_file() else None
 
     @property
     def arrival(self) -> str:
-        """Return the date and time at which it came."""
+        """Return the date and time at which the item was added."""
         return f"{datetime.fromtimestamp(self.folder.stat().st_ctime):%Y-%m-%d %H:%M}" if self.folder.is_dir() else ""
 
     def page(self, command: str) -> Path | None:
-        """Return the report of a command, if it was called."""
+        """Return the report page of a command, if the command was called."""
         path = self.folder / f"{command}.html"
         return path if path.is_file() else None
 
@@ -92,7 +92,7 @@ class Item:
         return [path for pattern in RESULTS[command] for path in sorted(self.folder.glob(pattern)) if path != self.path]
 
     def save(self) -> None:
-        """Save what is known about it."""
+        """Save the known properties of the item."""
         values = {name: getattr(self, name) for name in SAVED}
         write_whole(self.folder / ABOUT, json.dumps(values | {"file": self.path.name}) + "\n")
 
@@ -150,9 +150,7 @@ def lock_folder(folder: Path) -> IO[str]:
 
 
 def safe_name(text: str, otherwise: str) -> str:
-    """Return a text as a file name, in any script, with its endings. The result is never a path, a hidden or a reserved
-    name.
-    """
+    """Return a text as a file name, in any script, with its endings. The result is never a path, a hidden or a reserved name."""
     name = unicodedata.normalize("NFC", text.replace("\\", "/").rsplit("/", 1)[-1])
     name = re.sub("-+", "-", "".join(c if c in KEPT or unicodedata.category(c)[0] in "LMN" else "-" for c in name))
     ending = ENDING.search(name)[0]  # type: ignore[index]  # it may be empty

@@ -1,4 +1,4 @@
-"""The page: Readings, Check, Calibrate, Use. Each step shows what the folder of the bench holds."""
+"""The page: Readings, Check, Calibrate, Use. Each step shows content of the bench's folder."""
 
 import logging
 from collections.abc import Awaitable, Callable
@@ -117,7 +117,7 @@ def action(bench: Bench, label: str, handler: Handler, *, main: bool = False) ->
 
 
 async def attempt(bench: Bench, name: str, handler: Handler) -> None:
-    """Call a handler. Its error is kept by a name, for the page."""
+    """Call a handler. Its error is stored under a name, for the page."""
     bench.errors.pop(name, None)
     try:
         waited = handler()
@@ -125,7 +125,7 @@ async def attempt(bench: Bench, name: str, handler: Handler) -> None:
             await waited
     except (UndriftError, OSError) as error:
         bench.errors[name] = bench.plain(str(error))
-    except Exception as error:  # a bug must not leave a page without an answer
+    except Exception as error:  # a bug must not leave the user without a message
         LOG.exception("bench")
         bench.errors[name] = f"Internal error: {type(error).__name__}: {error}. Please report it."
     bench.changed()
@@ -167,7 +167,7 @@ def result_part(bench: Bench, item: Item, command: str) -> None:
 
 
 def readings_step(bench: Bench) -> None:
-    """Add the three doors, and the files and recordings so far."""
+    """Add the three ways to get readings, and the files and recordings so far."""
     with ui.element("div").classes("doors"):
         with ui.card():
             ui.label("Drop files").classes("heading")
@@ -188,7 +188,7 @@ def readings_step(bench: Bench) -> None:
                     ui.label(f"{address}: {about}")
         with ui.card():
             ui.label("Practice device").classes("heading")
-            ui.label("A simulated device. It shows the whole way, from the six faces to a certificate.")
+            ui.label("A simulated device. It shows all steps, from the six faces to a certificate.")
             action(bench, "Use the practice device", lambda: bench.connect(PRACTICE))
     if bench.items:
         ui.label("Files and recordings").classes("heading")
@@ -199,7 +199,7 @@ def readings_step(bench: Bench) -> None:
 
 
 async def connect(bench: Bench) -> None:
-    """Connect the device of the address that was typed."""
+    """Connect the device at the entered address."""
     if not (bench.typed["address"] or "").strip():
         raise InputError("Enter the address of the device, or look for devices.")
     await bench.connect(bench.typed["address"])
@@ -221,7 +221,7 @@ def uploader(bench: Bench) -> None:
         await attempt(bench, "upload", lambda: bench.receive(event.files))
 
     def refused() -> None:
-        bench.errors["upload"] = f"Files that are sent together may have {bench.settings.upload_mb:g} MB."
+        bench.errors["upload"] = f"Files that are sent together may have {bench.settings.upload_mb:g} MB in total."
         bench.changed()
 
     largest = int(bench.settings.upload_mb * 1e6)
@@ -247,13 +247,13 @@ def check_step(bench: Bench) -> None:
 
 
 def nothing(bench: Bench) -> None:
-    """Say that a file is needed."""
+    """Add a message that a file is needed."""
     ui.label("Choose a file or recording first.")
     action(bench, "Go to the readings", lambda: bench.go("Readings"), main=True)
 
 
 def recording_part(bench: Bench, item: Item) -> None:
-    """Add a guided recording: its guide if its device is connected, otherwise what was recorded."""
+    """Add a guided recording: its guide if its device is connected, otherwise its content."""
     guided = bench.guided
     if guided is None or guided.item is not item:
         ui.label(f"{item.name}: {item.summary or 'nothing was recorded'}.")
@@ -271,7 +271,7 @@ def recording_part(bench: Bench, item: Item) -> None:
 
 
 def file_part(bench: Bench, item: Item) -> None:
-    """Add the content of a file, and what it needs."""
+    """Add the content of a file, and the entries that it needs."""
     ui.label(item.name).classes("heading")
     ui.label(item.summary or "Reading ...")
     looked = item.looked
@@ -309,7 +309,7 @@ def rate_form(bench: Bench, item: Item) -> None:
 
 
 def map_form(bench: Bench, item: Item) -> None:
-    """Ask for the units of a table of foreign names. A person confirms what is proposed."""
+    """Ask for the units of a table with foreign names. A person confirms the proposal."""
     draft, reasons = item.draft, item.looked.reasons if item.looked else {}
     ui.label("This table does not contain its units. Check columns and units against the data sheet of the device.")
     for key, columns in draft["columns"].items():
@@ -327,7 +327,7 @@ def map_form(bench: Bench, item: Item) -> None:
             choice(f"Unit of the {SENSORS[key]}", options, draft["units"], key)
             if key in reasons:
                 ui.label(f"Proposed by {reasons[key]}.").classes("soft")
-    ui.label("If the columns are wrong, use the command line with a map of your own.").classes("soft")
+    ui.label("If the columns are wrong, use the command line with your own map.").classes("soft")
     action(bench, "Columns and units are right: read the file", lambda: bench.read_again(item), main=True)
 
 
@@ -405,7 +405,7 @@ def certificate_part(bench: Bench, item: Item) -> None:
 
 
 def use_step(bench: Bench) -> None:
-    """Add what corrects and orients a recording, and the results."""
+    """Add the controls that correct and orient a recording, and the results."""
     item = bench.chosen
     recordings = [each for each in bench.items if each.kind == "recording"]
     if not recordings:
@@ -439,7 +439,7 @@ def use_step(bench: Bench) -> None:
 
 
 def take(bench: Bench, item: Item) -> None:
-    """Choose a recording, and stay."""
+    """Choose a recording without leaving the step."""
     bench.chosen = item
     bench.errors.clear()
     bench.changed()

@@ -106,7 +106,7 @@ def test_redo_replaces_one_face_and_keeps_it_until_then(complete):
     guide.redo("+x")
     guide.redo(None)
     assert guide.wanted is None
-    with pytest.raises(InputError, match=r"redo: expected one of \+x, .*, got 'up'. Name a face"):
+    with pytest.raises(InputError, match=r"redo: expected one of \+x, .*, got 'up'. Select a face"):
         guide.redo("up")
     guide.redo("+x")
     assert guide.complete
@@ -209,7 +209,7 @@ def test_a_device_in_counts_with_an_unknown_zero_is_turned_over_once(guide):
     with HandFeed(seed=5, device=device) as feed:
         light = feed.watch(guide, 3.0)[-1]
         assert light.state == "unknown face"
-        assert light.text == "Which face is up is not known yet. Turn the device over all its sides once."
+        assert light.text == "It is not known yet which face is up. Turn the device over all its sides once."
         capture_faces(feed, guide)
         for face, held in guide.capture.faces.items():
             assert not feed.moved_in(held)

@@ -44,6 +44,6 @@ def test_the_same_pose_counts_once_and_asks_for_another(guide):
     record, (first, *_) = hand_held_log(rng, STEADY, poses=3, hold_s=(14.0, 15.0))
     said = fed(guide, record.between(0.0, float(first[1]) - 0.5))
     assert (len(guide.done), guide.wanted) == (1, "2")
-    assert said[-1] == "This pose is captured. Tilt it by 30 deg or more, any way."
-    assert "Captured. Tilt it by 30 deg or more, any way." in said
+    assert said[-1] == "This pose is captured. Tilt it by 30 deg or more in any direction."
+    assert "Captured. Tilt it by 30 deg or more in any direction." in said
     assert "Still. Do not touch it." in said

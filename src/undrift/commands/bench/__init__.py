@@ -9,7 +9,7 @@ and turns. The pages (web/) show this state. NiceGUI is not imported here.
 
 Frames: readings are in the device's axes. Faces and directions of turns refer to these axes (``+z`` is up, ``+x`` is a
 turn about x, counter-clockwise seen with x up). Units: readings keep the device's units. Temperatures are in degC and
-times in s. Readings use the device's clock, silence and progress the host's.
+times in s. Readings use the device's clock. Silence and progress use the host's clock.
 
-Open ``source.py`` first, then ``capture.py``. For their use, see the page state in web/guided.py.
+Open ``source.py`` first, then ``capture.py``. web/guided.py shows how to use them.
 """

@@ -1,11 +1,11 @@
 """Capture the readings of a guided session. Detect rests and the face that is up, and write the session's folder.
 
-A device is at rest if `find_still` accepts its newest readings twice: with the threshold from the readings, and within
-four noise floors of the quietest window. In counts, the limits are shares of gravity. The face that is up is the axis
-with the largest share of the mean acceleration. Readings in counts have an unknown zero. With five captured faces, the
-zero is the centre of a sphere through them. Before that, it is 0 if all rests have similar lengths and in one of them a
-single axis reads nearly all, as for digital parts. Otherwise it is the centre of a sphere through the readings from
-turning the device over all its sides. Only relative lengths are used, so that no scale is needed.
+A device is at rest if `find_still` accepts its newest readings twice: with the threshold from the readings, and within four noise
+floors of the quietest window. For counts, the limits are relative to gravity. The face that is up is the axis with the largest
+share of the mean acceleration. Readings in counts have an unknown zero. With five captured faces, the zero is the centre of a
+sphere through them. Before that, it is 0 if the mean readings at all rests have similar lengths and in one rest a single axis has
+nearly the whole length, as for digital parts. Otherwise, it is the centre of a sphere through the readings while the device is
+turned over all its sides. Only relative lengths are used, so that no scale is needed.
 """
 
 import math
@@ -26,20 +26,20 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY, is_physical
 
 Piece = TypeVar("Piece", Still, Turn)
 State = Literal["no readings", "moving", "settling", "still", "captured", "wrong face", "tilted", "unknown face"]
-COUNTDOWN_S, SETTLE_S = 6.0, 1.5  # rest that is captured, and rest before that
-TILT_DEG = 12.0  # largest tilt of a face, as the uncalibrated accelerometers read it
-SILENCE_S = 1.0  # host time without a new reading that counts as none
-GAP_S, GAP_PERIODS = 0.1, 5.0  # a longer silence of the device is a gap
+COUNTDOWN_S, SETTLE_S = 6.0, 1.5  # duration of a captured rest, and of the rest before it, s
+TILT_DEG = 12.0  # largest tilt of a face, measured with uncalibrated accelerometers, deg
+SILENCE_S = 1.0  # host time without a new reading after which the device is silent, s
+GAP_S, GAP_PERIODS = 0.1, 5.0  # longest silence of the device that is not a gap, s
 KEEP_S = 120.0  # length of the kept readings while nothing is captured, s
-BESIDE_S = 10.0  # kept before the first piece of a recording, and behind the last
-CLOUD_S, CLOUD_POINTS = 0.25, 2000  # means of the accelerometers that show their zero
-ALIKE = 1.6  # lengths of readings that share a zero of 0, within 0.2 g
+BESIDE_S = 10.0  # time kept before the first piece of a recording, and after the last, s
+CLOUD_S, CLOUD_POINTS = 0.25, 2000  # number of accelerometer means that determine the zero
+ALIKE = 1.6  # largest spread of reading lengths with a zero of 0: within 0.2 g
 # of a cloud that shows a sphere: points, radius over noise, length of their mean side, least mean square of a side, spread of the
 # points about it and distance of rests from it as shares of the radius (triads differ in scale by tens of percent)
 LEAST_POINTS, NOISES, LOPSIDED, FLAT, THICK, OFF = 24, 10.0, 0.55, 0.05, 0.25, 0.5
-LOOSE_DEG = 25.0  # tilt that exceeds an error of the zero, of readings in counts
+LOOSE_DEG = 25.0  # smallest tilt that cannot be due to an error of the zero, for readings in counts
 LEAST_REST_S = 1.0
-UNKNOWN = "Which face is up is not known yet. Turn the device over all its sides once."
+UNKNOWN = "It is not known yet which face is up. Turn the device over all its sides once."
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,17 +48,17 @@ class Light:
 
     state: State
     text: str  # reason and remedy
-    face: Face | None = None  # That is up now
-    left_s: float | None = None  # Until the capture, while it counts down
+    face: Face | None = None  # face that is up
+    left_s: float | None = None  # time until the capture during the countdown, s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Rest:
-    """A rest: one that lasts until the newest reading, or one that was captured. Times are on the clock of the capture."""
+    """A current rest, which lasts until the newest reading, or a captured rest. Times are on the clock of the capture."""
 
     start_s: float
     stop_s: float
-    mean: FloatArray  # (3,), of the accelerometers, raw
+    mean: FloatArray  # (3,), mean reading of the accelerometers, raw
 
     @property
     def duration_s(self) -> float:
@@ -70,48 +70,48 @@ class Rest:
 class CapturedTurn:
     """A turn between two rests."""
 
-    turn: Turn  # axis and angle; its samples are determined when it is written
+    turn: Turn  # axis and angle; samples are determined when the turn is written
     before: Rest
     after: Rest
-    reading: float  # Integral about the axis, raw unit times s
+    reading: float  # integral about the axis, raw unit times s
 
     @property
     def way(self) -> str:
-        """Return which turn it is: ``+x`` for one about x by a positive angle."""
+        """Return the name of the turn, for example ``+x`` for a turn about x by a positive angle."""
         return f"{'+' if (self.turn.angle or 0.0) > 0.0 else '-'}{self.turn.axis}"
 
 
 class Capture:
     """The data of a guided session: readings, faces, turns and the folder.
 
-    Readings are on one clock: that of the first connection. Another connection follows after a gap.
+    All readings use the clock of the first connection. Readings of another connection follow after a gap.
     """
 
     def __init__(self, folder: Path, serial: str = "", *, gravity_m_s2: float | None = None) -> None:
         self.folder, self.serial, self.gravity_m_s2 = folder, serial, gravity_m_s2
         self.faces: dict[str, Rest] = {}
-        self.turns: dict[str, CapturedTurn] = {}  # by direction
+        self.turns: dict[str, CapturedTurn] = {}  # captured turns by direction
         self.saved = False  # True if the folder contains all captured data
         self.newest_s = (
             self.whole_from_s
-        ) = -math.inf  # time of the newest reading, and of the first one after the last gap
+        ) = -math.inf  # time of the newest reading, and of the first reading after the last gap
         self._readings: list[Record] = []
         self._key: object = None  # connection
-        self._clock_s = 0.0  # time that is added to its clock
+        self._clock_s = 0.0  # time that is added to the clock of the connection
         self._heard_s = -math.inf  # host time of the newest reading
         self._cloud: deque[FloatArray] = deque(maxlen=CLOUD_POINTS)
         self._rests: deque[FloatArray] = deque(maxlen=64)
-        self._noise = self._extent = 0.0  # raw: noise of the accelerometers at rest, longest side of the cloud
+        self._noise = self._extent = 0.0  # noise of the accelerometers at rest, and longest side of the cloud, raw
 
     # ---- Readings
 
     def take(self, record: Record | None, now_s: float, key: object = None) -> None:
-        """Add the newest readings, which may overlap earlier ones: now_s on the host's clock, key of the connection."""
+        """Add the newest readings, which may overlap earlier ones: now_s is on the host's clock, key identifies the connection."""
         if record is None:
             return
         if record.accel is None or record.gyro is None:
             raise InputError(
-                "capture: gyroscope and accelerometer are both required, but one is missing. Name both in the device's address."
+                "capture: gyroscope and accelerometer are both required, but one is missing. List both in the device's address."
             )
         latest = self._readings[-1] if self._readings else record
         if (latest.gyro_unit, latest.accel_unit) != (record.gyro_unit, record.accel_unit):
@@ -124,7 +124,7 @@ class Capture:
         self._key = key
         time = record.time + self._clock_s
         first = int(np.searchsorted(time, self.newest_s, side="right"))
-        if len(record) - first < 2:  # a single reading waits for the next
+        if len(record) - first < 2:  # a single reading waits for the next one
             return
         gaps = np.flatnonzero(np.diff(time[first:], prepend=self.newest_s) > longest_s)
         if len(gaps):
@@ -144,7 +144,7 @@ class Capture:
                 self._extent = float(np.ptp(np.array(self._cloud), axis=0).max())
 
     def _forget(self) -> None:
-        """Drop readings in which nothing was captured for long."""
+        """Drop old readings without a capture."""
         last_s = max((rest.stop_s for rest in self._captured_rests()), default=-math.inf)
         if self.newest_s - max(last_s, float(self._readings[0].time[0])) > 2.0 * KEEP_S:
             self._readings = [
@@ -162,7 +162,7 @@ class Capture:
         return chunks.part(first, last)
 
     def tail(self, seconds: float) -> Record | None:
-        """Return the newest readings since the last gap. Single lost readings are left out."""
+        """Return the newest readings since the last gap. Single lost readings are omitted."""
         if not self._readings:
             return None
         record = self._between(max(self.newest_s - seconds, self.whole_from_s))
@@ -190,12 +190,12 @@ class Capture:
             return None
         start, stop = 0, len(record)
         try:
-            for still in (StillSettings(threshold_floors=4.0), StillSettings()):  # the quicker one first
+            for still in (StillSettings(threshold_floors=4.0), StillSettings()):  # the quicker test first
                 stills = find_still(record, still).stills
                 if not stills or stills[-1].stop != stop:
                     return None
                 start = max(start, stills[-1].start)
-        except InputError:  # shorter than a window
+        except InputError:  # the readings are shorter than a window
             return None
         within = np.asarray(record.accel)[start:stop]
         mean = within.mean(axis=0)
@@ -233,7 +233,7 @@ class Capture:
         return FACES[2 * axis + (up[axis] < 0.0)], tilt_deg if tilt_deg > limit_deg else 0.0
 
     def up(self, rest: Rest) -> tuple[FloatArray | None, float]:
-        """Return the direction of gravity in a rest, (3,), and the tilt that exceeds an error of it, deg."""
+        """Return the direction of gravity in a rest, (3,), and the smallest tilt that exceeds its error, deg."""
         zero, limit_deg = self._zero(rest.mean)
         return None if zero is None else (rest.mean - zero) / np.linalg.norm(rest.mean - zero), limit_deg
 
@@ -257,12 +257,12 @@ class Capture:
     # ---- captured readings
 
     def add_face(self, face: Face, rest: Rest) -> None:
-        """Capture the newest of a rest as a face, in place of the one before."""
+        """Capture the newest part of a rest as a face, and replace an earlier capture of this face."""
         self.faces[face] = replace(rest, start_s=max(rest.start_s, rest.stop_s - COUNTDOWN_S))
         self.saved = False
 
     def add_turn(self, turn: CapturedTurn) -> None:
-        """Capture a turn, in place of an earlier turn about the same axis in the same direction."""
+        """Capture a turn, and replace an earlier turn about the same axis in the same direction."""
         self.turns[turn.way] = turn
         self.saved = False
 
@@ -278,7 +278,7 @@ class Capture:
             stills = [replace(still, stop=start) if still.start < start < still.stop else still for still in stills]
         gaps = [0, *(1 + np.flatnonzero(np.diff(whole.time) > _longest_s(whole))).tolist(), len(whole)]
         pieces: list[Still | Turn] = [*stills, *turns]
-        spans = list[tuple[int, int]]()  # samples of each recording
+        spans = list[tuple[int, int]]()  # start and stop of each recording, samples
         for first, last in pairwise(gaps):
             inside = [piece for piece in pieces if first <= piece.start < last]
             if inside:
@@ -303,7 +303,7 @@ class Capture:
         )
 
     def _stills(self, whole: Record) -> list[Still]:
-        """Return the faces, and the parts of the rests next to turns that belong to no other rest."""
+        """Return the faces, and the parts of rests next to turns that do not belong to another rest."""
         stills = list[Still]()
         for face, captured in self.faces.items():
             start, stop = _samples(whole, captured.start_s, captured.stop_s)
@@ -333,9 +333,9 @@ def _samples(record: Record, start_s: float, stop_s: float) -> tuple[int, int]:
 
 
 def _fit_zero_sphere(cloud: FloatArray, rests: FloatArray, noise: float) -> FloatArray | None:
-    """Return the centre of the sphere that the readings of a device lie on that was turned over all its sides.
+    """Return the centre of a sphere through the readings of a device that was turned over all its sides.
 
-    A device that was shaken or knocked leaves a ball of points with its rest inside, or most of them on one side.
+    The readings of a shaken or knocked device form a ball with the rest inside, or lie mostly on one side.
     """
     if len(cloud) < LEAST_POINTS:
         return None

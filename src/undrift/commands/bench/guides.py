@@ -7,10 +7,10 @@ s, a touch or a tilt invalidates a step. A single lost reading does not.
     faces: moving -> settling -> still, counting down -> captured -> the next
     turns: rest, ready -> turning -> rest: the turn is judged -> rest, ready ...
 
-A turn is valid if it is about an axis of the device, gravity is the same before and after, and its angle is near a
-whole number of turns. In counts the scale is unknown. A turn is then a single turn, and its integral must be similar to
-the other turns. Its sign is the sign of the reading. The gyroscopes are calibrated with the nominal angles, not with
-the angles read here.
+A turn is valid if it is about an axis of the device, gravity is the same before and after, and its angle is near a whole number of
+turns. If readings are in counts, the scale is unknown. A turn then counts as a single turn, and its integral must be similar to
+those of the other turns. Its sign is the sign of the reading. The gyroscopes are calibrated with the nominal angles, not with the
+angles read here.
 """
 
 import math
@@ -27,18 +27,18 @@ from undrift.record import FACES, Axis, Face, Record, Still
 from undrift.segments import StillSettings, find_still, find_turns
 from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
-ORDER: tuple[Face, ...] = ("+z", "+x", "-z", "-x", "+y", "-y")  # each a quarter turn from the one before
+ORDER: tuple[Face, ...] = ("+z", "+x", "-z", "-x", "+y", "-y")  # each is a quarter turn from the previous one
 WAYS = FACES  # + is counter-clockwise, seen with the axis up
 FULL_TURN = 2.0 * math.pi
 NEAR = 0.15  # relative tolerance of a whole turn: an uncalibrated gyroscope is more accurate
-LIKE = 0.3  # readings of turns in counts differ by less than this, relative
+LIKE = 0.3  # largest relative difference between turns in counts
 SAME_POSE = math.cos(15.0 * RADIAN_PER_DEGREE)
 REST_S = 3.0  # rest before and after a turn, and in a pose, s
 POSES, NEW_POSE = 15, math.cos(25.0 * RADIAN_PER_DEGREE)
 SHARP = StillSettings(
     window_s=0.25, smooth_s=0.05, min_duration_s=0.25, threshold_floors=8.0
-)  # settings for rests that reach close to a turn
-LOST_S = 0.5  # part of a rest next to a turn that the usual window loses, s
+)  # settings for rests that extend close to a turn
+LOST_S = 0.5  # part of a rest next to a turn that is lost with the usual window, s
 LONGEST_S = 60.0  # longest turn with its rests, s
 GAP = "Gap in the readings: that turn does not count."
 
@@ -50,10 +50,10 @@ class Guide(ABC):
     order: tuple[str, ...]
 
     def __init__(self, capture: Capture, done: Mapping[str, Rest] | Mapping[str, CapturedTurn]) -> None:
-        self.capture, self.done = capture, done  # the latter: captured steps
-        self.again: str | None = None  # that is to be captured once more
+        self.capture, self.done = capture, done  # names of all steps, and captured steps
+        self.again: str | None = None  # step that is to be captured again
         self.light = Light(state="no readings", text="No readings. Connect a device.")
-        self._asked_s = -math.inf  # time at which a step was requested again: its countdown begins there
+        self._asked_s = -math.inf  # time at which a step was requested again, at which its countdown begins
 
     @property
     def wanted(self) -> str | None:
@@ -68,7 +68,7 @@ class Guide(ABC):
     def redo(self, step: str | None) -> None:
         """Request a step again, or cancel the request with None. The earlier capture remains until it is replaced."""
         if step is not None and step not in self.order:
-            raise InputError(f"redo: expected one of {', '.join(FACES)}, got '{step}'. Name a {self.step}.")
+            raise InputError(f"redo: expected one of {', '.join(FACES)}, got '{step}'. Select a {self.step}.")
         self.again, self._asked_s = step, self.capture.newest_s
 
     def update(self, record: Record | None, now_s: float, key: object = None) -> Light:
@@ -88,7 +88,7 @@ class Guide(ABC):
 
 
 class SixFaces(Guide):
-    """Rests with each face up."""
+    """Guide through rests with each face up."""
 
     step, order = "face", ORDER
 
@@ -125,7 +125,7 @@ def _turn(face: str | None) -> str:
 
 
 class Poses(Guide):
-    """Rests in poses of any kind that differ from each other, as many as accelerometers need."""
+    """Guide through rests in different arbitrary poses, as many as the accelerometers need."""
 
     step, order = "pose", tuple(str(k + 1) for k in range(POSES))
 
@@ -142,24 +142,24 @@ class Poses(Guide):
         if up is None:
             return Light(state="unknown face", text=UNKNOWN)
         if any(float(up @ earlier) > NEW_POSE for earlier in self._ups):
-            return Light(state="captured", text="This pose is captured. Tilt it by 30 deg or more, any way.")
+            return Light(state="captured", text="This pose is captured. Tilt it by 30 deg or more in any direction.")
         if rest.duration_s < REST_S:
             return Light(state="settling", text="Still. Do not touch it.", left_s=REST_S - rest.duration_s)
         self._ups.append(up)
         self._poses[str(len(self._ups))] = rest
-        return Light(state="captured", text="Captured. Tilt it by 30 deg or more, any way.")
+        return Light(state="captured", text="Captured. Tilt it by 30 deg or more in any direction.")
 
 
 class Turns(Guide):
-    """Whole turns about each axis, both ways: ``+x`` is one about x, counter-clockwise."""
+    """Guide through whole turns about each axis in both directions: ``+x`` is counter-clockwise about x."""
 
     step, order = "turn", WAYS
 
     def __init__(self, capture: Capture) -> None:
         super().__init__(capture, capture.turns)
-        self.outcome = ""  # about the last turn
-        self._before: Rest | None = None  # the turn
-        self._moved, self._unlike = False, 0.0  # the reading of the last turn that was not like the only one captured
+        self.outcome = ""  # message about the last turn
+        self._before: Rest | None = None  # turn
+        self._moved, self._unlike = False, 0.0  # reading of the last turn that differed from the only captured turn
 
     @property
     def enough(self) -> bool:
@@ -214,7 +214,7 @@ class Turns(Guide):
         if up is None or down is None or not float(up @ down) > SAME_POSE:
             return ""  # laid on another face
         if turn.axis is None:
-            return "That was about no axis of the device. Lay it flat, and turn it on the bench."
+            return "That was not about an axis of the device. Lay it flat, and turn it on the bench."
         along = float(reading["xyz".index(turn.axis)])
         count, reason = self._count_turns(turn.axis, along, record.gyro_unit)
         if not count:
@@ -247,12 +247,12 @@ class Turns(Guide):
 
 
 def _like(along: float, reading: float) -> bool:
-    """Return whether a turn reads like another, in counts."""
+    """Return True if the reading of a turn in counts is similar to that of another turn."""
     return abs(abs(along) - reading) < LIKE * reading
 
 
 def _nearest(record: Record, first: Still, last: Still) -> tuple[Still, Still]:
-    """Return two rests that reach as near to the turn between them as short windows show."""
+    """Return two rests, extended with short windows as close as possible to the turn between them."""
     short, lost = find_still(record, SHARP).stills, round(LOST_S * record.sample_rate_hz)
     stop = max((still.stop for still in short if still.start <= first.stop + lost), default=first.stop)
     start = min((still.start for still in short if still.stop >= last.start - lost), default=last.start)
@@ -262,7 +262,7 @@ def _nearest(record: Record, first: Still, last: Still) -> tuple[Still, Still]:
 
 
 def asked(way: str) -> str:
-    """Return how to make a turn, in words."""
+    """Return the instructions for a turn."""
     return f"Lay it with +{way[1]} up. Turn it once {_seen(way)}, back to the mark."
 
 

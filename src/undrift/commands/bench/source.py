@@ -26,11 +26,11 @@ from undrift.live.recorder import Recorder
 from undrift.live.transports import lsl_streams, serial_ports, source_at
 from undrift.record import Record, joined
 
-PERIOD_S = 1.0 / 15.0  # between two looks at the recorder, host s
+PERIOD_S = 1.0 / 15.0  # time between two reads of the recorder, host s
 KEEP_S = 120.0  # device s
 SILENCE_S, RETRY_S = 2.0, 1.0
 STALE_S = 1.0  # host time without readings after which the device counts as silent, s
-RATE_OVER_S = 5.0  # host s over which the sample rate is counted
+RATE_OVER_S = 5.0  # time over which the sample rate is measured, host s
 STOP_S = 20.0
 
 
@@ -38,11 +38,11 @@ STOP_S = 20.0
 class Status:
     """State of a source."""
 
-    error: str  # a message, or "" while readings come
-    sample_rate_hz: float  # measured over the last seconds, device time; NaN before that
-    readings: int  # Since the source was started
-    lost: int  # Numbers that are missing
-    garbled: int  # Left out because they were damaged
+    error: str  # a message, or "" while readings arrive
+    sample_rate_hz: float  # sample rate over the last seconds of device time, Hz; NaN at the start
+    readings: int  # number of readings since the source was started
+    lost: int  # number of missing readings
+    garbled: int  # number of readings omitted because they were damaged
     temp_c: float  # newest temperature; NaN without a thermometer
     file: Path | None  # file that is being written
     file_error: str  # reason why the last file ended early, or ""
@@ -50,7 +50,7 @@ class Status:
 
 
 def found_devices() -> tuple[list[tuple[str, str]], list[str]]:
-    """Return the addresses of serial ports and LSL streams with their names, and why some could not be searched."""
+    """Return the addresses of serial ports and LSL streams with their names, and the reasons why some could not be searched."""
     senders, notes = list[tuple[str, str]](), list[str]()
     for kind, listed in (("serial://", serial_ports), ("lsl:", lsl_streams)):
         try:
@@ -64,8 +64,8 @@ class LiveDevice:
     """One device, from `start` to `stop`."""
 
     def __init__(self, address: str, silence_s: float = SILENCE_S) -> None:
-        self.address, self._silence_s = address, silence_s  # the latter: longest host time without readings
-        self.recorder = self._fresh()  # for the current connection; raises for an invalid address
+        self.address, self._silence_s = address, silence_s  # address, and longest host time without readings, s
+        self.recorder = self._fresh()  # source for the current connection; raises for an invalid address
         self.name = self.recorder.source.description.device or self.recorder.source.name
         self.error = ""
         self._thread: threading.Thread | None = None
@@ -75,7 +75,7 @@ class LiveDevice:
         self._counted: deque[tuple[float, int]] = deque()
         self._before = np.zeros(3, dtype=int)  # readings, lost and garbled of earlier connections
         self._temp_c = math.nan
-        self.file: Path | None = None  # that is being written
+        self.file: Path | None = None  # file that is being written
         self._log: Appender | None = None
         self._unwritten = list[Record]()
         self._file_start, self._file_error = math.nan, ""
@@ -98,7 +98,7 @@ class LiveDevice:
         self._stopping.set()
         if self._thread is not None:
             self._thread.join(STOP_S)
-            with suppress(UndriftError):  # data received since the last look
+            with suppress(UndriftError):  # data received since the last read
                 self._take()
         self.recorder.stop()
         return self.stop_writing()
@@ -115,7 +115,7 @@ class LiveDevice:
         return record.part(first, len(record)) if len(record) - first >= 2 else None
 
     def status(self) -> Status:
-        """Return how it is doing."""
+        """Return the current status."""
         with self._lock:
             rate, description, file = math.nan, self.recorder.source.description, self.file
             if len(self._counted) > 1 and time.monotonic() - self._heard < STALE_S:
@@ -135,7 +135,7 @@ class LiveDevice:
             )
 
     def write_to(self, path: Path) -> None:
-        """Write the raw readings from now on to a CSV that grows."""
+        """Write the raw readings from now on to a growing CSV file."""
         with self._file_lock:
             if self.file is not None:
                 raise InputError(f"record: {self.file.name} is still being recorded. Stop it first.")
@@ -153,7 +153,7 @@ class LiveDevice:
                     if self._unwritten:
                         log.write(joined(self._unwritten))
             finally:
-                self.file, self._log, self._unwritten = None, None, []  # only now: who sees no writer finds the file
+                self.file, self._log, self._unwritten = None, None, []  # set last, because then the file must exist
             return path if path.exists() else None
 
     def _fresh(self) -> Recorder:
@@ -172,7 +172,7 @@ class LiveDevice:
                 self._reconnect()
 
     def _reconnect(self) -> None:
-        """Make a new connection, until there is one or the source is stopped."""
+        """Try to connect again until a connection exists or the source is stopped."""
         while not self._stopping.is_set():
             self.recorder.stop()
             fresh = self._fresh()
@@ -225,14 +225,14 @@ class LiveDevice:
 
 
 def connected(address: str) -> LiveDevice:
-    """Connect the device at an address. If the address does not state the format of the data, it is found by listening."""
+    """Connect the device at an address. If the address does not contain the format of the data, it is determined by listening."""
     device = LiveDevice(described_address(address)[0])
     device.start()
     return device
 
 
 class PracticeDevice(HandHeld):
-    """The simulated device in an operator's hands that a bench starts if no real device is there."""
+    """The simulated hand-held device that a bench starts if there is no real device."""
 
     def __init__(self, gravity_m_s2: float) -> None:
         seed, speed = (os.environ.get(f"UNDRIFT_PRACTICE_{name}", "") for name in ("SEED", "SPEED"))
