@@ -2,9 +2,9 @@
 
 Ranges are [start, stop). Stillness of a triad at sample k is the sliding standard deviation of its reading y, smoothed over
 ``smooth_s``: d_k^2 = sum over axes of var(y over the window centred at k). Smoothing averages out white noise and keeps the motion
-of a hand or a body. The threshold is determined from the data. At rest log d has one narrow peak at the noise floor, motion is
-decades above, and the threshold is the least frequent value between them. Without such a gap there is no still phase. The threshold
-is at most the limit of a bench, or of a hand if a bench would leave too few poses. In a steady turn the smoothed rate r minus the
+of a hand or a body. The threshold is determined from the data. At rest, log d has a narrow peak at the noise floor. In motion, it
+is decades higher. The threshold is the least frequent value between. Without such a gap there is no still phase. The threshold is
+at most the limit of a bench, or of a hand if a bench would leave too few poses. In a steady turn the smoothed rate r minus the
 offset at rest is far from zero and steady::
 
     |r| > least_floors * floor        d <= max(steadiness * |r|, 4 floor)

@@ -291,7 +291,7 @@ def _average_rates(rates: PoseRates, average_s: float) -> PoseRates:
 
 
 def _align(integral: RunningIntegral, wanted: PoseRates, lag: float) -> tuple[Lag | None, float]:
-    """Fit A and c at a lag. Return them with the step of the lag that reduces the residual most, or None without common motion."""
+    """Fit A and c at a lag. Also return the step of the lag that reduces the residual most, or None without common motion."""
     start, stop = wanted.start + lag, wanted.stop + lag
     mean, inside = integral.mean(start, stop)
     if inside.sum() < LEAST_AVERAGES:

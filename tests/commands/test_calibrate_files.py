@@ -84,7 +84,7 @@ def test_a_file_that_does_not_fit_the_kept_map_is_refused_in_one_line_that_names
     before = contents(board)
     line = undrift.refused(command, other, "--calibration", board / "board.json", *words[command])
     assert f"{other}: the file does not match the map stored in {board / 'board.json'} for its device: " in line
-    assert line.count("Name another map with --map") == 1
+    assert line.count("Give another map with --map") == 1
     assert contents(board) == before
 
 

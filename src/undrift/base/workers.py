@@ -76,7 +76,7 @@ def executor(workers: int | None = None, scheduler: str | None = None) -> Iterat
 
 
 def _shared_map(pool: Executor, fn: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
-    """Return results in order, as ``pool.map`` does. While the next is not ready, the caller makes calls from the end."""
+    """Return results in order, as ``pool.map`` does. Until the next is ready, the caller runs the last open calls."""
     items = list(items)
     futures = [pool.submit(fn, item) for item in items]
 

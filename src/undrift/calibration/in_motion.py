@@ -39,7 +39,7 @@ BRIDGED_S = 0.05  # longest gap over which linear interpolation is accurate enou
 STAGES_S = (15.0, 15.0, 40.0, 40.0, 300.0, 300.0, 300.0, 300.0, 300.0)
 # rad/s, offset: change from rest to motion, change between recordings, and zero-rate output of a raw device. Assumed.
 MOVED, DAILY, RAW_RATE = 0.02 * RADIAN_PER_DEGREE, 0.1 * RADIAN_PER_DEGREE, 1.0 * RADIAN_PER_DEGREE
-# Ratio of the actual errors of simulated devices to the errors that the equations state. For gyroscopes it is 1.0, and 0.6 to 0.9
+# Ratio of the actual errors of simulated devices to the computed errors. For gyroscopes it is 1.0, and 0.6 to 0.9
 # in ten real trials compared with fits to their optics.
 WIDENED_ACCEL, WIDENED_OFFSET = 1.2, 1.5
 SCALES = np.array([0, 4, 8])  # indices of the scale factors among the elements of a matrix
@@ -402,7 +402,7 @@ def _findings(x: FloatArray, covariance: FloatArray, contradiction: float) -> It
             "motion.rest",
             "warn",
             f"The gyroscope offset changes from rest to motion by {contradiction:.1f} times the usual value. The rest counts less.",
-            "Begin with 6 s in which the device lies still, then turn it by hand about all axes.",
+            "Begin with 6 s in which the device is at rest, then turn it by hand about all axes.",
             contradiction=contradiction,
         )
     for triad, first in (("gyroscope", 0), ("accelerometer", 9)):

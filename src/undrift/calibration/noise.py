@@ -236,7 +236,7 @@ def _fit_triad(record: Record, name: str) -> tuple[AxisNoise, ...]:
             "Record longer."
         )
     _check_rest(values[finite], record.time[finite], record.sample_rate_hz, name, physical=is_physical(unit))
-    readings = np.full((int(places[-1]) + 1, 3), np.nan)  # on an even clock
+    readings = np.full((int(places[-1]) + 1, 3), np.nan)  # samples on an even clock
     readings[places[finite]] = values[finite]
     curves = [allan_deviation(column, record.sample_rate_hz) for column in readings.T]
     return tuple(_fit_axis(curve, axis, unit) for curve, axis in zip(curves, AXES, strict=True))

@@ -287,7 +287,7 @@ def _judged(fit: NormFit, corrected: FloatArray) -> Iterator[Finding]:
         "multi_position.nonlinear",
         times,
         QUADRATIC_TIMES,
-        f"The accelerometers are {told_apart(times, '.2g', limit)} times less linear than data sheets state (limit {limit:g}).",
+        f"The accelerometers are {told_apart(times, '.2g', limit)} times less linear than in data sheets (limit {limit:g}).",
         "Check the offset with six faces on a level plate, and keep the device still in each pose.",
     )
     yield from uncertain(

@@ -82,7 +82,7 @@ def columns_to_mend(order: FloatArray) -> int:
 
 
 def accel_order(order: FloatArray) -> FloatArray | None:
-    """Return the accelerometer columns A that gravity sees as gyroscope columns P, or None if there are none.
+    """Return the accelerometer columns A that gravity reveals as gyroscope columns P, or None if there are none.
 
     A turn is a pseudovector, so exchanged or reversed accelerometer columns A appear as P = det(A) A^T.
     """
@@ -195,7 +195,7 @@ RATE_UNITS = {  # ratio of readings to their true value -> cause
 
 
 def face_vectors(faces: Sequence[Face]) -> FloatArray:
-    """Return the direction of +g in s for each face, a unit vector per row, (P, 3)."""
+    """Return the direction of +g in s for each face, one unit vector per row, (P, 3)."""
     sign = np.array([1.0 if face[0] == "+" else -1.0 for face in faces]).reshape(-1, 1)
     return np.asarray(axis_vectors([face[1] for face in faces]) * sign)
 

@@ -98,7 +98,7 @@ def _check_turn_axes(dwells: DwellMeans) -> list[int]:
         if len(np.unique(dwells.turn_rate[rows])) < 2:
             continue
         turn_axes.append(k)
-        if len({*dwells.axis} - {None}) < 3:  # with three axes the whole matrix reveals exchanged columns
+        if len({*dwells.axis} - {None}) < 3:  # with three axes, the whole matrix reveals exchanged columns
             slope = np.polyfit(dwells.turn_rate[rows], dwells.reading[rows], 1)[0]
             check_reads_positive(slope, k)
             check_own_scale(slope[k], dwells.unit, "rate", f"gyroscope {axis}")
@@ -177,13 +177,9 @@ def _shared_rounding(dwells: DwellMeans, rates: FloatArray, matrix: FloatArray, 
     count, step = len(rates), np.where(dwells.codes > 0.0, dwells.step, 1.0)
     force = np.zeros((count, 0)) if dwells.force is None else dwells.force
     known = np.column_stack((np.ones(count), rates, force))
-    # wobble of the axis and ripple of the rate move the readings of dwells
-    scatter = dwells.reading - known @ np.linalg.lstsq(known, dwells.reading, rcond=None)[0]
-    turning = (dwells.turn_rate != 0.0)[:, None]
-    noise_of_fit = np.maximum(codes, 1e-300) + turning * np.mean(scatter**2, axis=0, where=turning)
     distance, spread = np.empty((2, count, count, 3))
     for k in range(3):
-        noise = noise_of_fit[:, k]
+        noise = np.maximum(codes[:, k], 1e-300)
         prior = np.zeros(known.shape[1])
         prior[4:] = (matrix[k, k] / G_SENSITIVITY) ** 2  # share due to the g-sensitivity of the readings
         covariance = np.linalg.pinv(known.T @ (known / noise[:, None]) + np.diag(prior), hermitian=True)
@@ -242,11 +238,12 @@ def axes_missing(turn_axes: Sequence[str], unit: str, cross_axis_prior: float) -
     )
 
 
-# ---- false dwells: the given rate has a wrong sign, value or axis One such dwell biases a least-squares fit, and an offset that
-# may drift follows it. Therefore each sensor is first fitted with Huber's weights, s = K w + b. Dwell i reads e_i = K^-1 (s_i -
-# s) more than its rate. It is refused if |e_i| is beyond 8 times the typical |e|, the median over the rows minus one for every
-# parameter that the fit makes exact, and beyond 2 % of the largest rate. The curvature of a sound sensor, its g-sensitivity, and
-# the ripple of a table are smaller.
+# ---- false dwells: the given rate has a wrong sign, value or axis
+#
+# One such dwell biases a least-squares fit, and an offset that may drift follows it. Therefore each sensor is first fitted with
+# Huber's weights, s = K w + b. Dwell i reads e_i = K^-1 (s_i - s) more than its rate. It is refused if |e_i| is beyond 8 times the
+# typical |e|, the median over the rows minus one for every parameter that the fit makes exact, and beyond 2 % of the largest rate.
+# The curvature of a sound sensor, its g-sensitivity, and the ripple of a table are smaller.
 
 SCATTERS = 8.0  # limit relative to the typical error, beyond the tails of noise, wobble or drift in tens of dwells
 SHARE = 0.02  # relative to the largest rate
@@ -333,7 +330,7 @@ def _join_rests(
 ) -> tuple[DwellMeans, list[Still]]:
     """Return dwells and rests with their specific force, and the rests, or only the dwells if there are no whole rests.
 
-    Without accelerometers only rests on labelled faces count, with gravity along the face.
+    Without accelerometers, only rests on labelled faces count, with gravity along the face.
     """
     records, rests = observed.session.records, sorted(observed.stills, key=lambda still: still.recording)
     if accel is None:

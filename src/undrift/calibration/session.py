@@ -105,7 +105,7 @@ def at_one_temperature(session: Session) -> tuple[Session, tuple[Finding, ...]]:
         used |= (group == fullest) & np.array([piece_face is not None for piece_face in face])
     selected = [piece for piece, use in zip(pieces, used, strict=True) if use]
     sentence = (
-        f"Stills and turns lie in {len(counts)} groups from {means.min():.1f} to {means.max():.1f} degC. Only the {len(selected)} "
+        f"Stills and turns form {len(counts)} groups from {means.min():.1f} to {means.max():.1f} degC. Only the {len(selected)} "
         f"pieces at {temps[used].mean():.1f} degC were used."
     )
     return replace(

@@ -26,7 +26,7 @@ from undrift.units import EARTH_RATE, RADIAN_PER_DEGREE
 
 LEAST_SAMPLES = 8
 NOTE_CUTOFF_HZ = 5.0  # cut-off of the note's spline filter in mode paper, Hz; the note gives no value. Assumed.
-FILTER_S = 0.3  # settling time of a second-order filter at 11 Hz to 1e-6, which gravity means omit at a dwell's start
+FILTER_S = 0.3  # start of a dwell that gravity means omit: settling of a second-order filter at 11 Hz to 1e-6
 MOST_BLOCKS = 12  # number of means of the specific force in one dwell
 MIN_TILT_SD = 1e-6  # smallest error of block means of the direction of gravity, for sound arithmetic, rad
 
@@ -173,8 +173,8 @@ def imposed_rates(dwells: DwellMeans, latitude_deg: float | None) -> FloatArray:
 #
 #     f / g = d + e_i + R_k(-psi) (l_i + e'_i) - r w_i^2 / g + noise
 #
-# d and r have priors, l has a stated size, and noise and wobble have excess variances. Over whole turns the level averages out. The
-# errors of the accelerometers are common to all mountings: df = dM s - M do. Without accelerometers d is zero, with the stated
+# d and r have priors, l has a given size, and noise and wobble have excess variances. Over whole turns the level averages out. The
+# errors of the accelerometers are common to all mountings: df = dM s - M do. Without accelerometers, d is zero, with the given
 # uncertainty of the mounting.
 
 

@@ -131,7 +131,7 @@ def _lacking(session: Session, calibration: Calibration) -> Iterator[str]:
     """Yield a note about each triad with readings but without a model."""
     for key, name in NAMES.items():
         if getattr(calibration, key) is None and any(getattr(record, key) is not None for record in session.records):
-            yield f"The {name} are not calibrated, and their readings stay raw. The findings say what is missing."
+            yield f"The {name} are not calibrated, and their readings stay raw. The findings list what is missing."
 
 
 def _turns_of_log(session: Session, path: Path, settings: CalibrateSettings) -> tuple[Session, Table]:

@@ -55,8 +55,9 @@ def orient(
         "rest" subtracts the mean rate of the first (or the named) still phase. "motion" starts from that rest, if there
         is one, and estimates the offset from gravity while the device moves.
     forward : str or None
-        Device axis that points forward on the upright segment. With `up` it defines the pitch. Without both, the axes are +x and
-        +z. If the calibration has a mounting, they are the axes of the segment, and orientation and angles refer to the segment.
+        Device axis that points forward on the upright segment. With `up`, this axis defines the pitch. Without both, the axes are
+        +x and +z. If the calibration has a mounting, they are the axes of the segment, and orientation and angles refer to the
+        segment.
     up : str or None
         Device axis that points up on the upright segment.
     """

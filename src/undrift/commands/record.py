@@ -202,7 +202,7 @@ class _Recording:
         description, timeline = self.source.recorder.source.description, self.source.recorder.timeline
         record = replace(read_record(self.file, ColumnMap(gaps="keep")), device=description.device)
         if self.is_rate_rough and not description.tick and record.duration_s > CLOCK_S:
-            clock = timeline.clock()  # which knows the rate better now
+            clock = timeline.clock()  # the source knows the rate more accurately now
             if clock.settled:
                 record = replace(record, time=record.time * clock.rate * description.clock_speed)
         return record

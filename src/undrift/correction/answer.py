@@ -40,7 +40,7 @@ from undrift.units import RADIAN_PER_DEGREE, STANDARD_GRAVITY
 TASK_S = (5.0, 60.0)  # duration of one sit-to-stand, and of repeated ones
 REST_S = 5.0
 LEAN, TURN = 45.0 * RADIAN_PER_DEGREE, 10.0 * RADIAN_PER_DEGREE
-WITHIN_K = UNKNOWN_K  # distance from the temperature of the calibration up to which the answer holds
+WITHIN_K = UNKNOWN_K  # largest distance from the temperature of the calibration for which the answer applies
 # error that a clinic accepts, rad: J. L. McGinley et al., Gait and Posture 29, 360-369, 2009 [figure not compared]
 ACCEPTED = 2.0 * RADIAN_PER_DEGREE
 OF_CASE = ("six-face", "reference")  # methods of accelerometers that determine the axes of the case

@@ -251,7 +251,7 @@ def _subtract_offset(corrected: Corrected, offset: RemainingOffset, out: Buffers
 
 
 def corrected_arrays(record: Record, calibration: Calibration) -> Buffers:
-    """Return rates and specific forces of ``correct`` with policy hold, without its checks: for many short records."""
+    """Return rates and specific forces as ``correct`` with policy hold, but without its checks, for many short records."""
     plans = plan_record(record, calibration)
     conditions, _ = conditions_of(record, calibration, plans, Carry())
     outputs = _buffers(len(record), plans, None)

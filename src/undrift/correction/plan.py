@@ -100,7 +100,7 @@ class Constants:
     half_step: FloatArray | None = None  # (3,), half a code step if truncated, or fitted, unit of the readings
     at_rest: FloatArray | None = None  # (3,), rate added while the device does not turn, rad/s
     g_sensitivity: FloatArray | None = None  # (3, 3), rad/s per m/s2
-    offset_table: LookupTable | None = None  # in the same units
+    offset_table: LookupTable | None = None  # rounding and offset in the same units
     matrix_table: LookupTable | None = None
     error_table: LookupTable | None = None
     # extra offset over the time since power-on, s, instead of temperature, with zero from its last node on
@@ -285,7 +285,7 @@ def plane_cells(table: LookupTable) -> tuple[Grid, Grid, FloatArray]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reach:
-    """Range of the readings that the calibration depends on, in a record, or in all chunks of a stream so far."""
+    """Range of the quantities on which the calibration depends, in a record or in all chunks of a stream so far."""
 
     samples: int = 0
     samples_outside: int = 0  # beyond the tuning tables

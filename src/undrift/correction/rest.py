@@ -199,6 +199,7 @@ def _first_rests(record: Record, what: str) -> tuple[Still, ...]:
 
 
 # ---- covariance (3, 3) of the mean specific force at a rest, (m/s2)^2, by source
+#
 # ``scatter``      scatter of the mean, with the correlation between samples
 # ``sway``         sway of a standing person: the tilt at the end of the rest differs from the mean by the spread of means over
 #                  a second beyond white noise. In simulated stance, 3 to 10 s, 97 % of errors are within the 95 % limit

@@ -43,7 +43,7 @@ CELL_C, MOST_CELLS = 0.5, 100  # narrowest cell, and number of cells above which
 APART_C, APART_S = 2.0, 60.0  # a larger step or a longer pause between blocks begins another rest
 SLOW, STILL = 0.25, 0.05  # shares of a log's fast ramps [assumed]
 LEAST_SOAKS = 5  # number of temperatures from which a log consists of soaks [assumed]
-OWN = 0.5  # share of the variance of v that a rest does not share with the next rest [assumed]
+OWN = 0.5  # part of the variance of v that is independent from rest to rest [assumed]
 FLICKER_S = 10.0 ** np.arange(1.0, 4.1, 0.5)  # time constants of the processes that add up to flicker noise
 FLICKER_OF_FLOOR = 2.41  # total standard deviation over bias instability: sqrt(7 ln(sqrt 10) / pi) / 0.664
 PAIRED = 30  # number of blocks of a cell from which its correlation is computed
@@ -198,7 +198,7 @@ def gyro_offsets(blocks: RestBlocks, calibration: Calibration | None) -> Offsets
     if model is not None and model.g_sensitivity is not None and force is not None:
         k, mean = model.forward_matrix, force.mean(axis=0)
         g_covariance = model.covariance_of(G_NAMES).reshape(3, 3, 3, 3)
-        common = np.einsum("ka,kb,i,j,aibj->k", k, k, mean, mean, g_covariance)  # at the mean specific force
+        common = np.einsum("ka,kb,i,j,aibj->k", k, k, mean, mean, g_covariance)  # evaluated at the mean specific force
     return Offsets(
         blocks=blocks,
         value=blocks.gyro - felt_by_gyro(blocks, calibration),

@@ -49,7 +49,7 @@ LEAST_SPIKE_C = 0.5
 WINDOW_S, LEAST_REACH_S = 30.0, 1.0  # longest window of the moving mean, and half of the shortest window
 KNOWN_TO_C = 0.02  # standard deviation of the mean that determines the window: a longer window blurs fast ramps
 BLURRED = 0.35  # in steps: if the readings, including steps, scatter more than this, their mean has no steps
-QUIET = 0.05  # in steps: smaller noise does not repeat changes of step
+QUIET = 0.05  # in steps: with less noise, changes of step do not repeat
 SAME_STEP = 0.02  # in steps: largest distance of a column from whole steps
 # ---- lag
 RAMP_C_PER_MIN = 1.0  # slope at which noise and remaining lag are balanced

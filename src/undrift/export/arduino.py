@@ -30,7 +30,7 @@ UNITS = {
 
 
 def write_arduino(calibration: Calibration, options: ExportOptions, name: str) -> Exported:
-    """Return the files of the library, by name in the folder."""
+    """Return the files of the library by name in the folder."""
     header = f"{options.prefix}.h"
     exported = export_c(calibration, options, header_name=header, date=utc_now())
     gyro_unit = calibration.gyro.unit_in if calibration.gyro else "rad/s"

@@ -69,7 +69,7 @@ class GlsFit:
 
 @contextmanager
 def determined(quantity: str) -> Iterator[None]:
-    """Raise ``NotObservable`` in place of a ``LinAlgError``: the readings do not determine a quantity."""
+    """Raise ``NotObservable`` instead of a ``LinAlgError``: the readings do not determine a quantity."""
     try:
         yield
     except np.linalg.LinAlgError as error:

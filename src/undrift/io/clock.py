@@ -1,4 +1,4 @@
-"""A regular clock for readings whose time stamps are those of the host that received them, in files and live (live/clock.py).
+"""A regular clock for readings with time stamps of the host that received them, in files and live (live/clock.py).
 
     t_k = a + n_k / f + d_k        n_k sample number on the device's clock, f its rate, d_k >= 0 delay of the time stamp
 

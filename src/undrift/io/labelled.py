@@ -295,5 +295,5 @@ def states_units(sheet: Sheet) -> bool:
 
 
 def read_labelled(path: Path, how: ColumnMap) -> RawTable:
-    """Read a table whose names or unit row state every unit."""
+    """Read a table whose names or unit row contain every unit."""
     return sheet_table(open_sheet(path), how)

@@ -87,8 +87,8 @@ class PieceEntry(FileTable):
     """Common keys of [[still]] and [[turn]]."""
 
     recording: int = 0  # number of the [[recording]], from 0
-    start_s: float  # on the recording's own clock
-    stop_s: float  # on the same clock; the sample at this time is not included
+    start_s: float  # start on the recording's clock, s
+    stop_s: float  # end on the same clock, s; the sample at this time is not included
     temp_c: Annotated[float, Ge(-273.15)] | None = None  # set-point of the chamber, degC
 
 

@@ -82,7 +82,7 @@ def search(nodes: FloatArray, x: float) -> np.uint64:
 
 @compiled
 def even_cell(start: float, inverse: float, last: float, x: float) -> tuple[np.int32, float]:
-    # as cell, for an even grid with a given last cell (32 bits, because vector units convert nothing else to integers)
+    # as cell, for an even grid with a given last cell (32 bits, the only integers to which vector units convert)
     p = (x - start) * inverse
     low = p if p > 0.0 else 0.0
     i = np.int32(low if low < last else last)

@@ -28,7 +28,7 @@ def carried_means(
     rate: FloatArray, force: FloatArray, rate_regressors: FloatArray, force_regressors: FloatArray,
     time: FloatArray, first: IntArray, weight: FloatArray, out: FloatArray,
 ) -> None:  # fmt: skip
-    # as rotation.carried_means
+    # same result as rotation.carried_means
     from scipy.spatial.transform import Rotation
 
     n = time.size

@@ -1,6 +1,6 @@
 """Fit of the device's clock to the host's while packets arrive: ``host = offset + rate * device + delay``, delay >= 0.
 
-The line lies below all packets of the last minutes, as for files (io/clock.py), and is evaluated at their middle. The lower hull is
+The line is below all packets of the last minutes, as for files (io/clock.py), and is evaluated at their middle. The lower hull is
 updated with a few operations per packet. Old points are removed, because a clock drifts with temperature. While a backlog drains,
 the line is too late until the first prompt packet arrives. The clock is settled when, for some time, several successive packets
 arrive no earlier than the line from the previous packets allows.

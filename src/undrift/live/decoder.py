@@ -359,7 +359,7 @@ def finite(rows: FloatArray) -> FloatArray:
 
 def decoder_for(description: StreamDescription) -> Decoder:
     """Return the decoder of a stream."""
-    from undrift.live.log import LogDecoder  # which imports this module
+    from undrift.live.log import LogDecoder  # it imports this module
 
     decoders: dict[str, type[Decoder]] = {"line": LineDecoder, "frame": FrameDecoder}
     return decoders.get(description.format, LogDecoder)(description)

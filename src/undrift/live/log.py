@@ -122,7 +122,7 @@ def description_of(pieces: Pieces, name: str, given_options: dict[str, str]) -> 
     channels = [IGNORED] * len(log.names)
     values, arrival_s = _readings_of(pieces, first_words, len(channels))
     text = log_text(Path(name), log)
-    proposal = propose(sample_of(text), text)  # as for a file
+    proposal = propose(sample_of(text), text)  # as for a log file
     labels = [label_of(column) for column in log.names]
     columns_of = _columns_of(proposal, log.names, labels)
     triads = [columns_of[triad] for triad in ("gyro", "accel") if triad in columns_of]

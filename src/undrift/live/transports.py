@@ -270,7 +270,7 @@ class LslSource(ByteSource):
 
     def _poll(self, wait_s: float) -> FloatArray:
         try:
-            samples, stamps = self.port.pull_chunk(timeout=min(wait_s, POLL_S))  # which waits even if samples arrive
+            samples, stamps = self.port.pull_chunk(timeout=min(wait_s, POLL_S))  # waits even if samples arrive
         except (RuntimeError, OSError) as error:  # pylsl's LostError is a RuntimeError
             raise LinkError(f"{self.name}: the stream is lost ({error}). Start the sender again.") from error
         width = len(self.description.channels)
@@ -348,7 +348,7 @@ def lsl_source(place: str, options: PlaceOptions, clock: Clock) -> Source:
 
 def simulated_source(place: str, options: PlaceOptions, clock: Clock) -> Source:
     """Return the source of a simulated device in the hands of an operator."""
-    from undrift.live.hands import source_of  # which imports this module
+    from undrift.live.hands import source_of  # it imports this module
 
     return source_of(place, options)
 

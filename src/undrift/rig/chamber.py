@@ -245,14 +245,15 @@ def open_chamber(
     return HandChamber(ask, settings)
 
 
-# ---- Interfaces that a run requires besides the rig and a chamber: the device's readings and an operator, live or simulated.
+# ---- Interfaces that a run requires in addition to the rig and a chamber: the device's readings and an operator, live or
+# simulated.
 
 
 class Readings(Protocol):
     """Readings of a device as they arrive."""
 
     def start(self) -> None:
-        """Start to store the readings that the device takes from now on."""
+        """Start to store the readings of the device."""
 
     def end(self) -> None:
         """End the dwell now. ``stop`` then omits later readings, because several devices are stopped one after another."""

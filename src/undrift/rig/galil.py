@@ -192,7 +192,7 @@ class GalilRig(LinkedRig):
         """Ask the card to print a number that was not used before, and discard all bytes before that number."""
         for attempt in range(3):
             self._token += 1
-            number = re.compile(rb"(?<!\d)0*%d(?:\.0*)?[ ]*\r?\n:" % self._token)  # with leading zeros and decimals
+            number = re.compile(rb"(?<!\d)0*%d(?:\.0*)?[ ]*\r?\n:" % self._token)  # leading zeros, decimals
             try:
                 self.exchange(f"MG {self._token}", until=number, anew=True)
                 return

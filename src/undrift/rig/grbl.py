@@ -109,7 +109,7 @@ class GrblRig(LinkedRig):
         return is_awake
 
     def _reach(self, state: str) -> bool:
-        """Poll the status until the board is in a state, for at most 2 s."""
+        """Poll the status until the board is in a given state, for at most 2 s."""
 
         def has_arrived() -> bool:
             actual = self.state()

@@ -148,7 +148,7 @@ class RestCheck:
             self._faces[step.up], self._files[step.up] = np.nanmean(record.accel, axis=0), file
 
     def _check_face(self, up: Face, accel: FloatArray, unit: str, distance: FloatArray, where: str) -> None:
-        """Raise Disturbed if the readings are those of another face, or if gravity is not along the axis of the face."""
+        """Raise Disturbed if the readings belong to another face, or if gravity is not along the axis of the face."""
         force = np.nanmean(accel, axis=0)
         others = {face: other for face, other in self._faces.items() if face != up}
         same = next((face for face, other in others.items() if (np.abs(force - other) <= distance).all()), None)

@@ -4,8 +4,8 @@ The caller that asks also reads the answer. Bytes that arrive between two exchan
 the link is out of step: the late answer would be read as the next one. Such a link raises LinkError until an exchange with `anew`
 has resynchronised it.
 
-A link is opened with a URL: ``tcp://host:port``, ``serial:///dev/ttyUSB0`` or a plain path (also of a pty). The pyserial URLs
-``socket://host:port`` and ``loop://`` are also accepted.
+A link is opened with a URL: ``tcp://host:port``, ``serial:///dev/ttyUSB0`` or a plain path (for example of a pty). The pyserial
+URLs ``socket://host:port`` and ``loop://`` are also accepted.
 
 A controller differs from another only in its commands, and in its units of position: counts or degrees.
 """

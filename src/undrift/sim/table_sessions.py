@@ -13,7 +13,7 @@ offset is simulated with the actual processes (sim/kernels.py). White noise N an
 
     sd^2 = N^2 / T + q^2 / (12 n)
 
-The second term holds for noise of 0.4 codes or more, which decorrelates the rounding errors of the readings. The low-pass is
+The second term applies to noise of 0.4 codes or more, which decorrelates the rounding errors of the readings. The low-pass is
 settled at the start of a dwell, and does not change the mean. A level beyond the rails or the codes is clipped.
 """
 

@@ -69,7 +69,7 @@ class Profile(NamedTuple):
 
     time: FloatArray  # (n,), evenly spaced times from 0, s
     board_c: FloatArray  # (n,), temperatures, degC
-    soaked_s: tuple[float, ...] = ()  # for each visit to a set-point, the time at which the board is soaked, s
+    soaked_s: tuple[float, ...] = ()  # time at which the board is soaked, for each visit to a set-point, s
 
     def turns_before(self, time_s: float) -> FloatArray:
         """Return the temperatures at which the board started and reversed, (k,) degC. They are the memory of a play operator."""
@@ -164,7 +164,7 @@ class ThermalSettings:
     # motion at a set-point; without ``turn_rates`` the table is omitted
     bench: BenchSettings = BENCH
     chamber: ChamberSettings = ChamberSettings()
-    set_points_c: tuple[float, ...] = SET_POINTS_C  # in the order of the visits, degC
+    set_points_c: tuple[float, ...] = SET_POINTS_C  # set-points in the order of the visits, degC
     back: bool = False  # repeat the set-points in opposite order, which reveals hysteresis and doubles the duration
     faces: Literal["one", "six"] = "one"  # rest with +z up at each set-point, or with each axis up and down
     ramp_c: tuple[float, float] = (18.0, 75.0)  # set-points at the ends of a ramp up and back down, degC

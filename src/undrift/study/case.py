@@ -115,7 +115,7 @@ def _zeroed(chain: SensorChain, fields: dict[str, tuple[str, ...]], *, square: b
     chain = replace(chain, **changed)
     if square:
         chain = replace(chain, scale=replace(chain.scale, axes=np.eye(3)))
-    if fine and chain.adc is not None:  # without noise the steps of the converter would not be dithered
+    if fine and chain.adc is not None:  # without noise, the steps of the converter would not be dithered
         chain = replace(chain, adc=replace(chain.adc, bits=chain.adc.bits + 16))
     return chain
 

@@ -323,7 +323,7 @@ def calibrations_by_others(
 
 
 def _check_one_device(fits: Sequence[HeldOut]) -> tuple[Finding, ...]:
-    """Return a finding if the readings at rest do not look like those of one device."""
+    """Return a finding if the readings at rest are not plausible for a single device."""
     rest = np.array([h.model.offset - h.fit.motion_offset * (h.model.moving_offset is None) for h in fits])
     spread = float(np.linalg.norm(fits[0].model.matrix @ np.ptp(rest, axis=0))) / RADIAN_PER_DEGREE
     if spread <= ONE_DEVICE_DPS:

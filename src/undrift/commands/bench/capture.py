@@ -34,7 +34,7 @@ KEEP_S = 120.0  # length of the kept readings while nothing is captured, s
 BESIDE_S = 10.0  # time kept before the first piece of a recording, and after the last, s
 CLOUD_S, CLOUD_POINTS = 0.25, 2000  # number of accelerometer means that determine the zero
 ALIKE = 1.6  # largest spread of reading lengths with a zero of 0: within 0.2 g
-# of a cloud that shows a sphere: points, radius over noise, length of their mean side, least mean square of a side, spread of the
+# criteria for a sphere in a cloud: points, radius over noise, length of their mean side, least mean square of a side, spread of the
 # points about it and distance of rests from it as shares of the radius (triads differ in scale by tens of percent)
 LEAST_POINTS, NOISES, LOPSIDED, FLAT, THICK, OFF = 24, 10.0, 0.55, 0.05, 0.25, 0.5
 LOOSE_DEG = 25.0  # smallest tilt that cannot be due to an error of the zero, for readings in counts

@@ -188,7 +188,7 @@ def _triad(
     def on_ticks(x: FloatArray) -> FloatArray:  # linear interpolation keeps the sum of contributions exact
         return x if clock.on_grid else np.stack([np.interp(taken_s, scene.time, column) for column in x.T], axis=1)
 
-    # without low-pass, the noise is independent from sample to sample on any grid of the motion
+    # without a low-pass, the noise is independent from sample to sample on any grid of the motion
     noise = chain.white_noise if chain.low_pass is None and not clock.on_grid else None
     contributions, x = dict[str, FloatArray](), true
     for effect, y in (replace(chain, white_noise=None) if noise else chain).stages(x, scene, pasts):
@@ -239,7 +239,7 @@ Surroundings = Callable[[FloatArray, float], Seen]
 
 
 class SimulatedDevice:
-    """A device that is read at even steps of its own clock. The state of its effects is passed from one chunk to the next."""
+    """A device that is read at even steps of its clock. The state of its effects is passed from one chunk to the next."""
 
     def __init__(
         self, model: DeviceModel, surroundings: Surroundings, seed: int, start_s: float, *, power_on_s: float = 3600.0

@@ -312,7 +312,7 @@ class Script:
 
     @property
     def samples(self) -> int:
-        """Samples written so far."""
+        """Return the number of samples written so far."""
         return self.pieces[-1].stop if self.pieces else 0
 
     def still(self, duration_s: float, face: Face | None = None) -> None:

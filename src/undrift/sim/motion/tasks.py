@@ -151,7 +151,7 @@ PROPORTIONAL, DERIVATIVE, INTEGRAL = (
     0.05,
 )  # [known-low] 1.1-1.7; [known-low] 4-5 Nm s/deg over 649 Nm; [assumed]
 DELAY_S = 0.17  # [known-low]
-NOISE_S = 1.5  # time constant of the torque's noise [assumed] so that the ratio of rate to angle is 1.2 / 0.9 rad/s
+NOISE_S = 1.5  # time constant of the torque noise, [assumed] for a rate to angle ratio of 1.2 / 0.9 rad/s
 
 
 def sway_spectrum(
