@@ -177,9 +177,13 @@ def _shared_rounding(dwells: DwellMeans, rates: FloatArray, matrix: FloatArray, 
     count, step = len(rates), np.where(dwells.codes > 0.0, dwells.step, 1.0)
     force = np.zeros((count, 0)) if dwells.force is None else dwells.force
     known = np.column_stack((np.ones(count), rates, force))
+    # wobble of the axis and ripple of the rate move the readings of dwells
+    scatter = dwells.reading - known @ np.linalg.lstsq(known, dwells.reading, rcond=None)[0]
+    turning = (dwells.turn_rate != 0.0)[:, None]
+    noise_of_fit = np.maximum(codes, turning * np.mean(scatter**2, axis=0, where=turning)).clip(1e-300)
     distance, spread = np.empty((2, count, count, 3))
     for k in range(3):
-        noise = np.maximum(codes[:, k], 1e-300)
+        noise = noise_of_fit[:, k]
         prior = np.zeros(known.shape[1])
         prior[4:] = (matrix[k, k] / G_SENSITIVITY) ** 2  # share due to the g-sensitivity of the readings
         covariance = np.linalg.pinv(known.T @ (known / noise[:, None]) + np.diag(prior), hermitian=True)
