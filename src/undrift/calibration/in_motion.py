@@ -27,7 +27,7 @@ from undrift.calibration.reference import uncertain_scale
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.findings import Finding, finding
 from undrift.fit.carried import MEAN_S, CarriedMeans, tilted_axes
-from undrift.fit.priors import CROSS_AXIS, SCALE_FACTOR, SCALE_LIMIT, UNCERTAIN_PERCENT
+from undrift.fit.priors import CROSS_AXIS, OFFSET_LIMIT, SCALE_FACTOR, SCALE_LIMIT, UNCERTAIN_PERCENT
 from undrift.fit.triad import TriadFit, triad_fit
 from undrift.record import Record, Still
 from undrift.segments import BENCH_RATE_LIMIT, StillSettings, find_still
@@ -396,7 +396,7 @@ ADVICE = {
 
 
 def _findings(x: FloatArray, covariance: FloatArray, contradiction: float) -> Iterator[Finding]:
-    """Yield findings about a rest that the motion contradicts, and about undetermined or implausible scale factors."""
+    """Yield findings about a rest that the motion contradicts, and about undetermined or implausible scale factors and offsets."""
     if contradiction > CONTRADICTED:
         yield finding(
             "motion.rest",
@@ -404,6 +404,15 @@ def _findings(x: FloatArray, covariance: FloatArray, contradiction: float) -> It
             f"The gyroscope offset changes from rest to motion by {contradiction:.1f} times the usual value. The rest counts less.",
             "Begin with 6 s in which the device is at rest, then turn it by hand about all axes.",
             contradiction=contradiction,
+        )
+    if (offset := float(np.abs(x[18:21]).max())) > OFFSET_LIMIT:
+        yield finding(
+            "motion.accel_offset",
+            "warn",
+            f"The accelerometer offset is {offset:.2g} m/s2 (data sheets allow {OFFSET_LIMIT:g} m/s2). The motion may not fit the "
+            "equations, so other numbers may be wrong, too.",
+            "Check sample rate, unit and axes in the map of the columns, and turn the device slowly about all axes.",
+            offset_m_s2=offset,
         )
     for triad, first in (("gyroscope", 0), ("accelerometer", 9)):
         spread = np.sqrt(np.diag(covariance))[first + SCALES]
