@@ -14,19 +14,8 @@ from undrift.correction.plan import force_uncertainty
 from undrift.correction.rest import AGEING, TURN_ON, UNKNOWN_K
 from undrift.errors import InputError
 from undrift.frames import quaternion_conjugate, rotate
-from undrift.model import (
-    AdcModel,
-    Calibration,
-    DriftTables,
-    Provenance,
-    StaticDrift,
-)
-from undrift.orientation import (
-    heading_of,
-    inclination_of,
-    initial_tilt,
-    shortest_rotation_up,
-)
+from undrift.model import AdcModel, Calibration, DriftTables, Provenance, StaticDrift
+from undrift.orientation import heading_of, inclination_of, initial_tilt, shortest_rotation_up
 from undrift.record import Record, Session, Still
 from undrift.sim.device.effects import Adc, ThermalScale
 from undrift.sim.device.presets import random_device

@@ -10,12 +10,7 @@ from undrift.calibration.calibrate import calibrate
 from undrift.calibration.quality import piece_temperatures
 from undrift.calibration.session import Observed, at_one_temperature, mean_of_rests, observe
 from undrift.calibration.settings import CalibrateSettings
-from undrift.calibration.sources import (
-    creep_of,
-    flicker_about_mean,
-    temperature_span,
-    walk_about_mean,
-)
+from undrift.calibration.sources import creep_of, flicker_about_mean, temperature_span, walk_about_mean
 from undrift.record import RateTable, Record, Session, Still, TemperatureSensitivity
 from undrift.sim.device.presets import random_device
 from undrift.sim.device.truth import true_calibration

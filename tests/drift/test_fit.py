@@ -10,11 +10,7 @@ import pytest
 
 from testkit.data import show
 from undrift.correction.correct import correct, correct_checked
-from undrift.drift.fit import (
-    DriftSettings,
-    fit_drift,
-    table_nodes,
-)
+from undrift.drift.fit import DriftSettings, fit_drift, table_nodes
 from undrift.errors import InputError, NotObservable
 from undrift.record import Session, TemperatureSensitivity
 from undrift.sim.device.presets import preset

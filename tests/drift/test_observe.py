@@ -8,11 +8,7 @@ import pytest
 
 from testkit.data import show
 from undrift.drift.fit import fit_drift
-from undrift.drift.observe import (
-    in_units_of,
-    observe_rests,
-    observe_steps,
-)
+from undrift.drift.observe import in_units_of, observe_rests, observe_steps
 from undrift.errors import InputError, NotObservable
 from undrift.model import AdcModel
 from undrift.record import Record, Session, Still, Turn

@@ -10,14 +10,7 @@ from testkit.full_calibration import device
 from testkit.plain_triad import plain_triad
 from testkit.rest_blocks import curve_uncertainty, rest_blocks
 from undrift.drift.observe import RestBlocks
-from undrift.drift.offset import (
-    StaticSettings,
-    both_ways,
-    cooling,
-    fit_static,
-    warm_up_table,
-    warm_up_time,
-)
+from undrift.drift.offset import StaticSettings, both_ways, cooling, fit_static, warm_up_table, warm_up_time
 from undrift.errors import NotObservable
 
 NODES = np.arange(20.0, 60.1, 1.0)

@@ -14,10 +14,7 @@ from testkit.simulated_device import motion_of
 from undrift.drift.observe import observe_rests
 from undrift.drift.offset import StaticSettings, fit_static
 from undrift.drift.rates import DynamicFit, fit_dynamic, fit_scale, prepared
-from undrift.drift.temperature import (
-    estimate_lag,
-    trusted_temperature,
-)
+from undrift.drift.temperature import estimate_lag, trusted_temperature
 from undrift.record import Record, Session, Still
 from undrift.sim.device.effects import Thermometer
 from undrift.sim.device.model import DeviceModel

@@ -11,14 +11,7 @@ import numpy as np
 import pytest
 
 from testkit.cohorts import COHORTS, first_and_long, ratio_limit, share_limits
-from testkit.cramer_rao import (
-    Array,
-    Tally,
-    carried,
-    information,
-    jacobian,
-    white_device,
-)
+from testkit.cramer_rao import Array, Tally, carried, information, jacobian, white_device
 from testkit.data import show
 from testkit.quiet import without_noise
 from undrift.calibration import sources

@@ -6,15 +6,7 @@ import numpy as np
 import pytest
 
 from testkit.cohorts import COHORTS, LARGER_COHORTS, ratio_limit
-from testkit.cramer_rao import (
-    Array,
-    Tally,
-    carried,
-    information,
-    inverse_model,
-    jacobian,
-    white_device,
-)
+from testkit.cramer_rao import Array, Tally, carried, information, inverse_model, jacobian, white_device
 from testkit.data import show
 from testkit.quiet import without_noise
 from undrift.calibration.settings import Mode
