@@ -6,7 +6,7 @@ import pytest
 from testkit.cohorts import share_limits
 from testkit.data import show
 from undrift.errors import NotObservable
-from undrift.fit.curve import Curve, fit_curve, not_a_knot
+from undrift.fit.curve import Curve, bending, fit_curve, not_a_knot
 
 NODES = np.linspace(18.0, 75.0, 115)
 
@@ -49,6 +49,14 @@ def test_curve_is_conditioned_as_any_gaussian(regressors):
         gain = prior[:7, 7:] @ np.linalg.inv(rows)
         np.testing.assert_allclose(at.value[:, k], gain @ curve.value[:, k], atol=3e-3)
         np.testing.assert_allclose(at.covariance[k], prior[:7, :7] - gain @ prior[7:, :7], atol=3e-3)
+
+
+def test_bends_on_either_side_of_the_origin_are_independent():
+    at, u = np.array([-0.7, -0.2, 0.1, 0.5, 0.9]), np.linspace(0.0, 1.0, 4001)
+    # white noise at distance u from the origin changes the curve beyond it, on its own side, by the rest of the way
+    sides = [np.maximum(sign * at[:, None] - u, 0.0) for sign in (-1.0, 1.0)]
+    covariance = np.sum([np.trapezoid(side[:, None] * side, u) for side in sides], axis=0)
+    np.testing.assert_allclose(bending(at, at), covariance, atol=1e-7)
 
 
 def test_uncertainty_grows_beyond_the_data_and_holds_a_parabola():

@@ -6,7 +6,7 @@ import pytest
 from undrift.calibration.sources import in_case
 from undrift.errors import NotObservable
 from undrift.fit.gls import solve_inverse
-from undrift.fit.triad import fit_paper, parameter_names
+from undrift.fit.triad import fit_paper, inverse_jacobian, parameter_names
 from undrift.model import MATRIX_NAMES, OFFSET_NAMES
 
 RNG = np.random.default_rng(11)
@@ -26,6 +26,13 @@ def test_fit_paper_refuses_readings_that_miss_an_axis():
     flat = INPUTS * np.array([1.0, 1.0, 0.0])
     with pytest.raises(NotObservable, match="rank 2 from 30"):
         fit_paper(flat, flat, solve_inverse(INPUTS, INPUTS, None, np.eye(3), {"noise": np.ones(90)}), **NAMES)
+
+
+def test_the_jacobian_of_the_inverse_is_its_derivative():
+    matrix = np.array([[2.0, 0.7, -0.4], [-0.3, 1.0, 0.5], [0.6, -0.2, 3.0]])  # far from symmetric
+    step = 1e-6 * np.random.default_rng(3).normal(size=(3, 3))
+    change = np.linalg.inv(matrix + step) - np.linalg.inv(matrix - step)
+    np.testing.assert_allclose(2.0 * inverse_jacobian(np.linalg.inv(matrix)) @ step.ravel(), change.ravel(), rtol=1e-6)
 
 
 def test_covariance_without_an_offset_is_the_scatter():
