@@ -129,6 +129,8 @@ def test_nodes_beyond_the_soaks_are_marked_and_less_certain():
     assert not marks[(NODES > 30.0) & (NODES < 50.0)].any()
     own = fit.drift.gyro_uncertainty[:, 0, 0]
     assert own[-1] > 2.0 * own[NODES == 40.0][0]
+    # noise of 18 rates of 56 deg/s rms, and several times as much for the scatter that visits may have
+    assert 1.0 < (own / fit.drift.gyro_matrix[:, 0, 0])[NODES == 40.0][0] / (0.01 / 56.0 / np.sqrt(18.0)) < 10.0
 
 
 # ---- dynamic drift
@@ -176,6 +178,17 @@ def test_axis_without_a_turn_has_no_dynamic_uncertainty():
     assert (fit.drift.error[..., 1] == 0.0).all()
     assert np.isnan(fit.drift.uncertainty[..., 1]).all()
     assert any("y" in item.text and "dynamic drift" in item.text.lower() for item in fit.findings)
+
+
+def test_noise_of_another_sensor_enters_by_the_matrix():
+    # Sensor x leans 30 deg to z, so that the rate about x takes tan 30 deg of z's reading and that about z takes none of x's.
+    model, axes = device(**BENT), np.eye(3)
+    axes[0] = np.cos(np.radians(30.0)), 0.0, np.sin(np.radians(30.0))
+    model = replace(model, gyro=replace(model.gyro, scale=replace(model.gyro.scale, axes=axes)))
+    sigma, steps = np.array([1e-6, 1e-6, 1e-2]) * true_calibration(model).gyro.scale_factor, steps_of(model)
+    drift = dynamic_of(model, replace(steps, gyro_variance=np.tile(sigma**2, (len(steps), 1)))).drift
+    x, _, z = drift.uncertainty[~drift.extrapolated & (drift.turn_rate != 0.0)].T
+    assert np.median(x / z) == pytest.approx(np.tan(np.radians(30.0)), rel=0.05)
 
 
 def test_too_few_soaks_are_refused():

@@ -20,6 +20,7 @@ from undrift.drift.temperature import (
     estimate_lag,
     trusted_temperature,
     without_lag,
+    without_lag_smooth,
 )
 from undrift.errors import InputError, NotObservable
 from undrift.io.column_map import ChannelScale
@@ -203,6 +204,13 @@ def test_a_gap_holds_and_the_next_reading_bridges_it():
     assert (result[700:702] == result[699]).all()
     kept = np.isfinite(gone)
     np.testing.assert_array_equal(result[kept], without_lag(temp[kept], time[kept], lag_s=TAU, smooth_s=4.0)[0])
+
+
+def test_for_a_fit_nothing_of_the_lag_is_left():
+    time = np.arange(0.0, 3000.0, 0.5)
+    temp = 20.0 + 5.0 * np.sin(time / 150.0)
+    result = without_lag_smooth(column(lagging(time, temp), time), lag_s=TAU)
+    assert np.abs(result - temp)[1:-1].max() < 1e-3  # central differences and the bend between samples, 0.3 mK
 
 
 def test_the_smoothing_balances_noise_and_the_lag_left():
