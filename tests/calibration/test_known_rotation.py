@@ -8,12 +8,7 @@ import pytest
 from testkit.cohorts import share_limits
 from testkit.findings import codes, only
 from undrift.calibration.calibrate import calibrate
-from undrift.calibration.known_rotation import (
-    RotationRows,
-    calibrate_turns,
-    fit_known_rotation,
-    rotation_rows,
-)
+from undrift.calibration.known_rotation import RotationRows, calibrate_turns, fit_known_rotation, rotation_rows
 from undrift.calibration.plausibility import axis_vectors, face_vectors
 from undrift.calibration.session import observe
 from undrift.calibration.settings import CalibrateSettings
@@ -102,6 +97,15 @@ def test_uneven_clock_weighs_readings_by_their_intervals():
     sums = rotation_rows([record], [Still(start=0, stop=3, face="+z")], [turn], matrix=np.eye(3), offset=np.zeros(3))
     np.testing.assert_allclose(sums.reading[1], (0.1 * 4.0 + 0.15 * 8.0 + 0.15 * 16.0) / 0.4)
     np.testing.assert_allclose(sums.duration, 0.4)
+
+
+def test_noise_of_a_mean_falls_with_the_root_of_its_samples():
+    gyro, accel = 0.02 * np.random.default_rng(14).standard_normal((6400, 3)), np.tile([0.0, 0.0, 9.81], (6400, 1))
+    record = Record(time=np.arange(6400) / 100.0, gyro=gyro, accel=accel)
+    rest, turn = Still(start=0, stop=6000, face="+z"), Turn(start=6000, stop=6400, axis="z", angle=1.0)
+    noise = rotation_rows([record], [rest], [turn], matrix=np.eye(3), offset=np.zeros(3)).noise
+    # 119 spare blocks of half a second tell it to 6 %
+    np.testing.assert_allclose(noise / [[6000.0**-0.5], [400.0**-0.5]], 0.02, rtol=0.2)
 
 
 def test_axis_error_enters_cross_axis_terms_only():

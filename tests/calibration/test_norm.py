@@ -49,6 +49,12 @@ def test_known_noise_gives_honest_intervals_at_the_bound() -> None:
     assert 0.88 < float(np.sqrt(np.mean(np.square(scaled)))) < 1.03
 
 
+def test_terms_that_the_poses_do_not_show_keep_their_prior() -> None:
+    level = readings(np.vstack((np.eye(3), -np.eye(3))))
+    fit = fit_norm(level, gravity=G, variances=np.full((6, 3), 0.01), prior_sd=0.02)
+    np.testing.assert_allclose(np.sqrt(np.diag(fit.covariance))[[1, 2, 4]], 0.02, rtol=1e-3)
+
+
 def test_poses_that_moved_get_a_bad_verdict_with_the_figure() -> None:
     n = directions(30)
     shaken = readings(n) + 300.0 * np.random.default_rng(1).normal(size=n.shape)

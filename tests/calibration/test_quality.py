@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from testkit.findings import codes, only
+from testkit.plain_triad import plain_triad
 from testkit.recordings import mpu9150
 from testkit.strategies import one_line
 from undrift.calibration.calibrate import calibrate
-from undrift.calibration.quality import check_turns
+from undrift.calibration.quality import check_accel, check_turns
 from undrift.calibration.session import observe
 from undrift.calibration.settings import CalibrateSettings
 from undrift.errors import Implausible, InputError
@@ -80,10 +81,7 @@ def test_slow_turn_about_the_vertical_shows_in_the_mean_rate():
     gyro = np.array(session.records[0].gyro)
     gyro[HOLD : 2 * HOLD, 0] += 3.0 * RADIAN_PER_DEGREE
     turning = replace(session, records=(replace(session.records[0], gyro=gyro),))
-    with pytest.raises(
-        Implausible,
-        match="a mean rate 3",
-    ):
+    with pytest.raises(Implausible, match="a mean rate 3"):
         observe(turning, CalibrateSettings())
     thermal = replace(turning, kind="thermal")  # offsets differ between temperatures, and that is what it records
     assert observe(thermal, CalibrateSettings()).findings == ()
@@ -227,6 +225,13 @@ def test_one_rest_that_misses_is_a_warning_and_two_are_a_failure():
             accel[start - 100 : start + 250] *= 1.1
         findings = calibrate(replace(session, records=(replace(record, accel=accel),)), settings=PLAIN).verdict.findings
         assert only(findings, "accel.implausible").level == level
+
+
+def test_rests_that_miss_within_the_uncertainty_of_the_fit_pass():
+    session = faces()
+    for sigma, found in ((0.001, True), (0.2, False)):  # the offset that the model lacks is 0.2, -0.1, 0.1 m/s2
+        model = plain_triad("m/s2", "m/s2", "accel", offset_sigma=sigma)
+        assert bool([*check_accel(session, model, session.stills)]) == found
 
 
 def test_rests_at_another_temperature_do_not_count():

@@ -8,10 +8,7 @@ import pytest
 from testkit.findings import only
 from undrift.calibration.calibrate import calibrate
 from undrift.calibration.plausibility import axis_vectors, nearest_signed_permutation
-from undrift.calibration.rate_table import (
-    check_dwells,
-    fit_rate_table,
-)
+from undrift.calibration.rate_table import check_dwells, fit_rate_table
 from undrift.calibration.table import DwellMeans, dwell_means, imposed_rates, spline_filter
 from undrift.errors import Implausible, InputError, NotObservable
 from undrift.programme import rate_grid
@@ -113,6 +110,16 @@ def test_earth_rate_is_added_to_the_axis_that_points_up():
     np.testing.assert_allclose(with_earth.offset, B, rtol=1e-10)
 
 
+def test_dwells_count_by_their_noise():
+    made = dwells()
+    noise = np.where(np.arange(len(made.axis)) % 2, 0.05, 5.0)[:, None] * np.ones(3)
+    reading = made.reading + noise * np.random.default_rng(11).standard_normal(noise.shape)
+    model = fit_rate_table(replace(made, reading=reading, noise=noise)).model
+    sigma = 0.05 / np.sqrt(51.0)  # half of the dwells determine the offset, as if the others were not there
+    np.testing.assert_allclose(model.standard_uncertainty[9:12], sigma, rtol=0.1)
+    np.testing.assert_allclose(model.offset, B, atol=4.0 * sigma)
+
+
 def about(axis, **changes):
     """Dwells about one axis of the table."""
     means = dwells()
@@ -187,6 +194,18 @@ def test_dwells_that_cannot_be_averaged_are_refused():
     gappy[200] = np.nan
     with pytest.raises(InputError, match=r"have gaps \(1\)"):
         dwell_means([Record(time=result.time, gyro=gappy)], turns)
+
+
+def test_range_of_a_fit_is_what_its_dwells_reached():
+    fit = fit_rate_table(dwells(grid=np.array([-90.0, -5.0, 5.0, 30.0]) * DPS))
+    np.testing.assert_allclose(fit.model.valid_range, (-90.0 * DPS, 30.0 * DPS), rtol=1e-15)
+
+
+def test_dwells_of_a_later_recording_come_later():
+    result, turns = record()
+    means = dwell_means([result, result], [turns[0], replace(turns[1], recording=1)])
+    # recordings of 6 s; dwells of 3 s, the first of the one and the second of the other; a step of 0.01 s either way
+    np.testing.assert_allclose(means.span.mean(axis=1), [1.5, 6.0 + 4.5], atol=0.02)
 
 
 # ---- turns about one or two axes: what they show is a finding, and what they contradict is refused
