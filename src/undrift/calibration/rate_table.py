@@ -156,7 +156,7 @@ def _sources(dwells: DwellMeans, rates: FloatArray, matrix: FloatArray) -> dict[
     floor = (MIN_NOISE * float(np.abs(dwells.reading).max())) ** 2 + 1e-300
     noise = np.zeros_like(dwells.reading) if dwells.noise is None else dwells.noise**2
     codes = np.minimum(dwells.codes, noise)
-    rounding = np.sqrt(codes[:, None] * codes) * _shared_rounding(dwells, rates, matrix, codes)
+    rounding = np.sqrt(codes[:, None] * codes) * _shared_rounding(dwells, rates, matrix, codes, floor)
     sources = noise_and_codes(matrix, np.maximum(noise - codes, floor), rounding)
     if dwells.span is not None:
         sources["instability"] = gyro_drift(dwells.span)
@@ -168,7 +168,9 @@ def _sources(dwells: DwellMeans, rates: FloatArray, matrix: FloatArray) -> dict[
     return sources
 
 
-def _shared_rounding(dwells: DwellMeans, rates: FloatArray, matrix: FloatArray, codes: FloatArray) -> FloatArray:
+def _shared_rounding(
+    dwells: DwellMeans, rates: FloatArray, matrix: FloatArray, codes: FloatArray, floor: float
+) -> FloatArray:
     """Return the correlation (N, N, 3) of the rounding errors of two rows, for their variance ``codes`` (N, 3).
 
     Equal inputs have equal errors. A plain fit of the readings gives the distance of two inputs, with its uncertainty. Equal
@@ -180,7 +182,7 @@ def _shared_rounding(dwells: DwellMeans, rates: FloatArray, matrix: FloatArray, 
     # wobble of the axis and ripple of the rate move the readings of dwells
     scatter = dwells.reading - known @ np.linalg.lstsq(known, dwells.reading, rcond=None)[0]
     turning = (dwells.turn_rate != 0.0)[:, None]
-    noise_of_fit = np.maximum(codes, turning * np.mean(scatter**2, axis=0, where=turning)).clip(1e-300)
+    noise_of_fit = np.maximum(codes, turning * np.mean(scatter**2, axis=0, where=turning)).clip(floor)
     distance, spread = np.empty((2, count, count, 3))
     for k in range(3):
         noise = noise_of_fit[:, k]
