@@ -127,7 +127,7 @@ def test_rest_that_the_motion_contradicts_counts_less() -> None:
 
 def test_accelerometer_offset_beyond_data_sheets_is_named() -> None:
     records, _, _ = handled(71, recordings=1)
-    shifted = replace(records[0], accel=np.asarray(records[0].accel) + [0.0, 0.0, 1.5])
+    shifted = replace(records[0], accel=np.asarray(records[0].accel) + np.array([0.0, 0.0, 1.5]))
     codes = [[item.code for item in fit_in_motion([r]).gyro.verdict.findings] for r in (records[0], shifted)]
     assert ["motion.accel_offset" in found for found in codes] == [False, True]
 
