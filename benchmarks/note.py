@@ -114,7 +114,9 @@ def found(study: Row) -> dict[str, str]:
     ]
     return {
         "claims": table(["claim", "the note", "undrift"], claims),
-        "table-1": table(["task", *by_parameter["step"], "p of the four", "smallest p after Holm", "the note's p"], first),
+        "table-1": table(
+            ["task", *by_parameter["step"], "p of the four", "smallest p after Holm", "the note's p"], first
+        ),
         "rivals": table(["method", "minutes", "calibrates", *TASKS.values(), "tilt at rest"], rivals),
         "sessions": table(["session", "minutes", *TASKS.values()], errors),
     }
