@@ -48,7 +48,7 @@ pictures: $(INSTALLED)
 test-slow: machine $(INSTALLED)
 	$(PYTEST) -m slow --timeout=0
 
-# Linters, types, layers and house rules at once; each is printed as it ends.
+# Linters, types, layers, house rules and habits of sentences at once; each is printed as it ends.
 check: $(INSTALLED)
 	@$(MAKE) --no-print-directory --jobs=3 --output-sync=target check-types check-house check-style
 
@@ -62,6 +62,7 @@ check-style:
 	$(BIN)/ruff check src tests benchmarks docs/*.py docs/figures
 	$(BIN)/ruff format --check src tests benchmarks docs/*.py docs/figures
 	$(BIN)/lint-imports
+	$(BIN)/python docs/english.py
 
 # The documentation site, from pages, docstrings, commands and models; docs/pictures are drawn anew, commit what changed.
 docs: $(INSTALLED)
