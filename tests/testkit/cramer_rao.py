@@ -91,16 +91,13 @@ class Tally:
         """Return the same ratio for the worst parameter."""
         return float(np.sqrt(np.mean(np.square(self.by_bound), axis=0)).max())
 
-    def check(self, devices: int, *, most: float = 0.0, cost: float = 1.0) -> None:
-        """Print the figures and check them against the promise. ``most`` is a larger limit for the share of valid
-        intervals, ``cost`` the factor on the error that a stated source without an error may cost.
-        """
+    def check(self, devices: int) -> None:
+        """Print the figures and check them against the promise."""
         errors = np.size(self.by_bound)
         low, high = share_limits(errors)
-        high = max(high, most)
-        show(f"{self.name}: RMSE over Cramer-Rao bound", f"{self.ratio:.4f}", cost * ratio_limit(errors))
+        show(f"{self.name}: RMSE over Cramer-Rao bound", f"{self.ratio:.4f}", ratio_limit(errors))
         show(f"{self.name}: worst parameter", f"{self.worst_ratio:.4f}")
         show(f"{self.name}: coverage of 95 % intervals", f"{self.coverage:.4f}", (low, high))
         assert len(self.by_bound) == devices
-        assert self.ratio <= cost * ratio_limit(errors)
+        assert self.ratio <= ratio_limit(errors)
         assert low <= self.coverage <= high

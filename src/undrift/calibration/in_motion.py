@@ -409,8 +409,8 @@ def _findings(x: FloatArray, covariance: FloatArray, contradiction: float) -> It
         yield finding(
             "motion.accel_offset",
             "warn",
-            f"The accelerometer offset is {offset:.2g} m/s2 (data sheets allow {OFFSET_LIMIT:g} m/s2). The motion may not fit the "
-            "equations, so other numbers may be wrong, too.",
+            f"The accelerometer offset is {offset:.2g} m/s2 (data sheets of consumer parts allow {OFFSET_LIMIT:g} m/s2). The "
+            "recording may contradict the equations, so other numbers may be wrong, too.",
             "Check sample rate, unit and axes in the map of the columns, and turn the device slowly about all axes.",
             offset_m_s2=offset,
         )

@@ -46,7 +46,7 @@ from undrift.units import RADIAN_PER_DEGREE, is_physical, si_factor
 
 MIN_NOISE = 1e-9  # relative to the largest reading, the arithmetic error of the filter
 WHOLE_TURN = 0.9 * 2.0 * np.pi  # a whole turn minus the last sample, rad
-SPREAD = 2.0  # spread of the distance of two inputs from rounding in the plain fit, in independent rounding errors
+SPREAD = 2.0  # spread of the distance of two inputs, relative to the spread if their rounding errors were independent
 
 # ---- fit of dwells and rests
 

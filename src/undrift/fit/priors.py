@@ -34,8 +34,8 @@ SCALE_FACTOR_IN_COUNTS = 0.2
 # largest difference from the nominal scale factor in data sheets, relative. Beyond this, a finding asks for the unit.
 SCALE_LIMIT = 0.05
 
-# largest zero-g offset in data sheets, m/s2 (MPU-6050: 80 mg). Beyond it a finding doubts a calibration from motion.
-OFFSET_LIMIT = 1.0
+# largest zero-g offset in data sheets of consumer parts, m/s2 (MPU-6050: 80 mg). Beyond it, a finding doubts a fit to motion.
+OFFSET_LIMIT = 0.8
 
 # cross-axis term before a calibration, relative: data sheets of MPU-6050 and ICM-20948 state 2 %, taken as two standard deviations.
 CROSS_AXIS = 0.01
