@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-LIMITS = {"pages": 4.8, "docstrings": 3.6, "comments": 2.8, "messages": 6.1}  # sentences with a habit, per 100
+LIMITS = {"pages": 3.6, "docstrings": 3.6, "comments": 2.8, "messages": 6.1}  # sentences with a habit, per 100
 MOST_WORDS = 25
 HABITS = re.compile(
     r"^(Of|What|How|Whose|Tell|Say|Let) |\bones\b|\b(each|every|which|this|that|the|no|only) one\b|\b(that|those) of\b"
@@ -32,6 +32,8 @@ def sentences(text: str) -> Iterator[str]:
 
 def of_pages() -> Iterator[str]:
     for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
+        if page.stem == "worklist":  # for developers, and short-lived
+            continue
         prose = re.sub(r"```.*?```|<!--.*?-->", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
         lines = (line for line in prose.splitlines() if not line.lstrip().startswith(("#", "|", "!", ":::", "::")))
         yield from sentences("\n\n".join(lines))
