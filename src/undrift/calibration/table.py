@@ -130,7 +130,7 @@ def spline_filter(time: FloatArray, values: FloatArray, cutoff_hz: float) -> Flo
 
     stiffness = 1.0 / (float(np.median(np.diff(time))) * (2.0 * np.pi * cutoff_hz) ** 4)
     elapsed = time - time[0]
-    return np.column_stack([make_smoothing_spline(elapsed, column, lam=stiffness)(elapsed) for column in values.T])
+    return np.asarray(make_smoothing_spline(elapsed, values, lam=stiffness)(elapsed))
 
 
 def _discard_settling(record: Record, turn: Turn, settle_s: float) -> Record:

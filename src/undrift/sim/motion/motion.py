@@ -32,7 +32,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any, Protocol
 
 import numpy as np
-from numpy.polynomial import Polynomial
+from numpy.polynomial.polynomial import Polynomial, polyval
 
 from undrift.arrays import FloatArray, Shape, freeze
 from undrift.frames import quaternion_conjugate, quaternion_product, rotate
@@ -242,13 +242,37 @@ def mean_rate(time: FloatArray, q_nb: FloatArray, first: FloatArray) -> FloatArr
 # ---- Script: a bench motion written as a list of rotations about fixed axes, each with a polynomial angle.
 
 
-# angles over the local time s in [0, 1], rad
-REST = Polynomial([0.0])
-SMOOTH = Polynomial([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])  # 0 to 1, first and second derivatives vanish at both ends
-RAMP_UP = Polynomial([0.0, 0.0, 0.0, 0.0, 2.5, -3.0, 1.0])  # integral of SMOOTH: its final value is 1/2
-RAMP_DOWN = Polynomial([0.0, 1.0, 0.0, 0.0, -2.5, 3.0, -1.0])  # s minus RAMP_UP
+@dataclass(frozen=True, slots=True, eq=False)
+class PolynomialAngle:
+    """An angle that is a polynomial of the local time s in [0, 1], rad."""
+
+    coefficients: FloatArray  # (order + 1, 3), of the angle and of its first and second derivative
+
+    @classmethod
+    def of(cls, *coefficients: float) -> "PolynomialAngle":
+        """Return the angle with these coefficients, lowest order first."""
+        angle = Polynomial(coefficients)
+        rows = np.zeros((len(coefficients), 3))
+        for order in range(3):
+            derivative = angle.deriv(order).coef
+            rows[: len(derivative), order] = derivative
+        return cls(rows)
+
+    def scaled(self, factor: float) -> "PolynomialAngle":
+        """Return the angle times a factor."""
+        return PolynomialAngle(factor * self.coefficients)
+
+    def at(self, s: FloatArray | float) -> FloatArray:
+        """Return the angle and its first and second derivative with respect to s: (...) -> (3, ...)."""
+        return np.asarray(polyval(s, self.coefficients))
+
+
+REST = PolynomialAngle.of(0.0)
+SMOOTH = PolynomialAngle.of(0.0, 0.0, 0.0, 10.0, -15.0, 6.0)  # 0 to 1, both derivatives vanish at both ends
+RAMP_UP = PolynomialAngle.of(0.0, 0.0, 0.0, 0.0, 2.5, -3.0, 1.0)  # integral of SMOOTH: its final value is 1/2
+RAMP_DOWN = PolynomialAngle.of(0.0, 1.0, 0.0, 0.0, -2.5, 3.0, -1.0)  # s minus RAMP_UP
 # SMOOTH plus the unevenness 40 s^3 (s - 1/2) (s - 1)^3 of a hand
-HAND = Polynomial([0.0, 0.0, 0.0, 30.0, -115.0, 186.0, -140.0, 40.0])
+HAND = PolynomialAngle.of(0.0, 0.0, 0.0, 30.0, -115.0, 186.0, -140.0, 40.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -281,12 +305,7 @@ class UnevenAngle:
         )
 
 
-Angle = Polynomial | UnevenAngle
-
-
-def angle_at(angle: Angle, s: FloatArray | float) -> FloatArray:
-    """Return an angle and its first and second derivative with respect to the local time: (...) -> (3, ...)."""
-    return angle.at(s) if isinstance(angle, UnevenAngle) else np.stack([angle.deriv(order)(s) for order in range(3)])
+Angle = PolynomialAngle | UnevenAngle
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -329,11 +348,11 @@ class Script:
         step = step if step[0] >= 0.0 else -step
         sine = float(np.linalg.norm(step[1:]))
         axis = step[1:] / sine if sine > 1e-12 else np.array([1.0, 0.0, 0.0])
-        self._turn(duration_s, axis, SMOOTH * (2.0 * np.arctan2(sine, step[0])))
+        self._turn(duration_s, axis, SMOOTH.scaled(2.0 * np.arctan2(sine, step[0])))
 
     def hand_turn(self, axis: Axis, angle: float, duration_s: float, axis_b: FloatArray) -> None:
         """Turn by hand through an angle about axis_b (3,), at an uneven rate."""
-        start, stop = self._turn(duration_s, axis_b, HAND * (angle))
+        start, stop = self._turn(duration_s, axis_b, HAND.scaled(angle))
         self.turns.append(Turn(start=start + 1, stop=stop + 1, axis=axis, angle=angle))
 
     def spin(
@@ -352,19 +371,17 @@ class Script:
         `uneven` is (ripple, azimuth, excess, settle_s).
         """
         ramp, dwell = (round(length_s * self.sample_rate_hz) / self.sample_rate_hz for length_s in (ramp_s, dwell_s))
-        self._turn(ramp_s, axis_b, RAMP_UP * (turn_rate * ramp))
+        self._turn(ramp_s, axis_b, RAMP_UP.scaled(turn_rate * ramp))
         start, stop = self._turn(dwell_s, axis_b, UnevenAngle(turn_rate, dwell, *uneven))
         self.turns.append(Turn(start=start + 1, stop=stop, axis=axis, turn_rate=stated_rate))
-        self._turn(ramp_s, axis_b, RAMP_DOWN * (turn_rate * ramp))
+        self._turn(ramp_s, axis_b, RAMP_DOWN.scaled(turn_rate * ramp))
 
     def motion(self, gravity_m_s2: float) -> Motion:
         """Return the motion of the script."""
         counts = [piece.stop - piece.start for piece in self.pieces]
         time, duration = np.arange(self.samples) / self.sample_rate_hz, np.repeat(counts, counts) / self.sample_rate_hz
         local = [np.arange(count) / count for count in counts]
-        angle, first, second = np.hstack(
-            [angle_at(piece.angle, s) for piece, s in zip(self.pieces, local, strict=True)]
-        )
+        angle, first, second = np.hstack([piece.angle.at(s) for piece, s in zip(self.pieces, local, strict=True)])
         axis_b = np.repeat([piece.axis_b for piece in self.pieces], counts, axis=0)
         q = quaternion_product(
             np.repeat([piece.q for piece in self.pieces], counts, axis=0), turn_quaternion(axis_b, angle)
@@ -388,7 +405,7 @@ class Script:
         stop = start + round(duration_s * self.sample_rate_hz)
         self.pieces.append(TurnSegment(start, stop, self.q, axis_b, angle))
         if angle is not REST:
-            self.q = quaternion_product(self.q, turn_quaternion(axis_b, angle_at(angle, 1.0)[0]))
+            self.q = quaternion_product(self.q, turn_quaternion(axis_b, angle.at(1.0)[0]))
             self.q = self.q / np.linalg.norm(self.q)
         return start, stop
 
