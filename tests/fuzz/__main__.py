@@ -16,11 +16,18 @@ import random
 import sys
 import tempfile
 from collections import Counter
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from importlib import import_module
 from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import Any
+
+from undrift.errors import FileFormatError, InputError
+from undrift.io import libraries, mocap
+from undrift.io.isolated import LIMIT_S
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from fuzz.inputs import BAD, Outcome, Seed, cut, cut_points, damaged, limit_memory, outcome, seeds
@@ -28,6 +35,10 @@ from fuzz.oracle import KINDS
 
 KEPT = Path("build", "fuzz")
 COMMANDS = 10  # of so many inputs one goes through the commands as well
+LIBRARIES = (
+    *("actfast", "ezc3d", "nilspodlib", "pyarrow.csv", "pyarrow.parquet"),
+    *("pymatreader", "pyulog", "pyxdf", "rosbags.highlevel"),
+)
 FORK = mp.get_context("fork")  # the inputs are prepared once, before there are workers
 
 
@@ -52,10 +63,39 @@ class Plan:
 PLANS: list[Plan] = []  # the one of this run; workers inherit it
 
 
+def parsed_in_fork(parse: Callable[..., Any], path: Path, *arguments: Any) -> Any:
+    """Stand in for undrift.io.isolated: a fork in place of a new process that imports everything again."""
+
+    def parse_and_send() -> None:
+        try:
+            parsed = parse(path, *arguments)
+        except InputError as error:
+            parsed = error
+        far.send(parsed)
+
+    near, far = FORK.Pipe(duplex=False)
+    process = FORK.Process(target=parse_and_send)
+    process.start()
+    far.close()
+    try:
+        if not near.poll(LIMIT_S):
+            raise FileFormatError(f"{path}: the parser did not finish in {LIMIT_S:.0f} s.")
+        parsed = near.recv()
+    except EOFError as error:
+        raise FileFormatError(f"{path}: the parser crashed.") from error
+    finally:
+        process.kill()
+        process.join()
+    if isinstance(parsed, InputError):
+        raise parsed
+    return parsed
+
+
 def read_one(number: int, result: Connection) -> None:
     """Read an input in a process of its own, and send what became of it."""
     plan = PLANS[0]
     limit_memory(1.0)
+    libraries.isolated = mocap.isolated = parsed_in_fork  # type: ignore[attr-defined]
     commands = number // len(plan.inputs) % COMMANDS == 0 and not plan.cuts
     with tempfile.TemporaryDirectory(prefix="fuzz-") as folder:
         found = outcome(plan.seed_of(number), plan.content_of(number), Path(folder), commands=commands)
@@ -92,7 +132,12 @@ def main() -> int:
     cuts = [(k, at) for k, seed in enumerate(inputs) for at in cut_points(seed.content)] if given.cuts else []
     plan = Plan(inputs, given.seed, cuts)
     PLANS.append(plan)
-    for seed in inputs:  # once, before there are workers
+    # once, before there are workers
+    for name in LIBRARIES:
+        import_module(name)
+    with tempfile.TemporaryDirectory(prefix="fuzz-") as folder:
+        outcome(inputs[0], inputs[0].content, Path(folder), commands=True)
+    for seed in inputs:
         if seed.sound is not None and seed.sound.is_text:
             _ = seed.sound.place
     numbers = range(len(cuts)) if cuts else range(given.first, given.first + given.inputs)
