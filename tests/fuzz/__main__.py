@@ -21,7 +21,6 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -63,59 +62,58 @@ class Plan:
 PLANS: list[Plan] = []  # the one of this run; workers inherit it
 
 
-def parsed_in_fork(parse: Callable[..., Any], path: Path, *arguments: Any) -> Any:
-    """Stand in for undrift.io.isolated: a fork in place of a new process that imports everything again."""
-
-    def parse_and_send() -> None:
-        try:
-            parsed = parse(path, *arguments)
-        except InputError as error:
-            parsed = error
-        far.send(parsed)
-
+def in_fork(work: Callable[[], Any], limit_s: float) -> Any:
+    """Return what a call returns in a process of its own. Raises TimeoutError if it hangs, and EOFError if it crashes."""
     near, far = FORK.Pipe(duplex=False)
-    process = FORK.Process(target=parse_and_send)
+    process = FORK.Process(target=lambda: far.send(work()))
     process.start()
     far.close()
     try:
-        if not near.poll(LIMIT_S):
-            raise FileFormatError(f"{path}: the parser did not finish in {LIMIT_S:.0f} s.")
-        parsed = near.recv()
-    except EOFError as error:
-        raise FileFormatError(f"{path}: the parser crashed.") from error
+        if not near.poll(limit_s):
+            raise TimeoutError(f"no end within {limit_s:g} s")
+        return near.recv()
     finally:
         process.kill()
         process.join()
-    if isinstance(parsed, InputError):
-        raise parsed
-    return parsed
 
 
-def read_one(number: int, result: Connection) -> None:
-    """Read an input in a process of its own, and send what became of it."""
+def parsed_in_fork(parse: Callable[..., Any], path: Path, *arguments: Any) -> Any:
+    """Stand in for undrift.io.isolated: a fork in place of a new process that imports everything again."""
+
+    def parsed() -> Any:
+        try:
+            return parse(path, *arguments)
+        except InputError as error:
+            return error
+
+    try:
+        found = in_fork(parsed, LIMIT_S)
+    except (TimeoutError, EOFError) as error:
+        raise FileFormatError(f"{path}: the parser did not finish, or crashed.") from error
+    if isinstance(found, InputError):
+        raise found
+    return found
+
+
+def read_one(number: int) -> Outcome:
+    """Return what became of an input, in a process of its own."""
     plan = PLANS[0]
     limit_memory(1.0)
     libraries.isolated = mocap.isolated = parsed_in_fork  # type: ignore[attr-defined]
     commands = number // len(plan.inputs) % COMMANDS == 0 and not plan.cuts
     with tempfile.TemporaryDirectory(prefix="fuzz-") as folder:
-        found = outcome(plan.seed_of(number), plan.content_of(number), Path(folder), commands=commands)
-    result.send(found)
+        return outcome(plan.seed_of(number), plan.content_of(number), Path(folder), commands=commands)
 
 
 def guarded(number: int, limit_s: float) -> Outcome:
     """Return what became of an input, also if its process crashes or hangs."""
-    near, far = FORK.Pipe(duplex=False)
-    process = FORK.Process(target=read_one, args=(number, far))
-    process.start()
-    far.close()
     try:
-        return near.recv() if near.poll(limit_s) else Outcome("hang", f"no end within {limit_s:g} s")
+        found: Outcome = in_fork(partial(read_one, number), limit_s)
+    except TimeoutError as error:
+        return Outcome("hang", str(error))
     except EOFError:
-        process.join()
-        return Outcome("crash", f"exit code {process.exitcode}")
-    finally:
-        process.kill()
-        process.join()
+        return Outcome("crash", "the process ended without an answer")
+    return found
 
 
 def main() -> int:
