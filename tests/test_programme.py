@@ -58,6 +58,7 @@ def test_notes_grid_becomes_102_dwells():
     assert sum(dwell.duration_s for dwell in programme.dwells) == pytest.approx(by_hand)
     assert programme.duration_s == pytest.approx(by_hand + 6 * 30.0)
     assert programme_of(SIT_TO_STAND) == programme
+    assert SIT_TO_STAND.with_faces_at_room().faces.at == "room"
 
 
 def test_blocks_stand_between_rests():

@@ -34,6 +34,8 @@ def test_run_and_calibrate_find_the_devices_hidden_parameters(tmp_path, capsys):
     told = json.loads(out)
     rates = [row for row in told["tables"]["dwells"] if row["purpose"] == "rate"]
     assert (told["data"]["dwells"], told["data"]["missing_readings"], len(rates)) == (30, 0, 18)
+    largest = max(abs(row["achieved (deg/s)"]["value"] - row["nominal (deg/s)"]) for row in rates)
+    assert f"differ from nominal rates by up to {largest:.3g} deg/s" in told["answer"]
     assert "30 dwells, 0:0" in err
     assert " left  +30 deg/s about x, dwelling  gyro_x" in err
     assert run(["rig", "stop", "--rig", "simulated:"]) == 0

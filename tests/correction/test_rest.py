@@ -78,6 +78,9 @@ def test_padded_rows_are_no_rest_on_any_route():
     assert find_rest_offset(joined([*parts])).rest_s == done.rest.rest_s
     orientation = orient(plain, settings=OrientSettings(offset="rest"))
     assert "recording.padded" in [item.code for item in orientation.findings]
+    stated = orient(plain, Still(start=first + 100, stop=last - 100)).still
+    removed = int(plain.time.searchsorted(orientation.time[0]))
+    assert (stated.start + removed, stated.stop + removed) == (first + 100, last - 100)
     assert (orientation.time[0], orientation.time[-1]) == (padded.time[500], padded.time[last - 1])
     assert orientation.time[orientation.still.start] == done.rest.rest_s[0]
     np.testing.assert_allclose(orientation.offset, done.rest.mean, atol=1e-12)

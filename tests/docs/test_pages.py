@@ -13,21 +13,9 @@ DOCS = ROOT / "docs"
 FOR_DEVELOPERS = {"flow.md", "motions.md", "poses.md", "developers.md"}
 PAGES = [ROOT / "README.md", *(page for page in sorted(DOCS.glob("*.md")) if page.name not in FOR_DEVELOPERS)]
 WITHOUT_BLOCKS = {
-    "in-a-browser.md",
-    "index.md",
-    "parts.md",
-    "accuracy.md",
-    "accuracy-motion.md",
-    "cite.md",
-    "constants.md",
-    "lab-sheet.md",
-    "glossary.md",
-    "live.md",
-    "model.md",
-    "nomenclature.md",
-    "study-answers.md",
-    "study-bench.md",
-    "worklist.md",
+    *("in-a-browser.md", "index.md", "parts.md", "accuracy.md", "accuracy-motion.md", "cite.md", "constants.md"),
+    *("lab-sheet.md", "glossary.md", "live.md", "model.md", "nomenclature.md"),
+    *("study-answers.md", "study-bench.md", "worklist.md"),
 }
 
 

@@ -276,22 +276,8 @@ def _shorter(path: Path) -> bytes:
 # ---- damage
 
 TOKENS = (
-    b"\0",
-    b"\xff",
-    b"nan",
-    b"inf",
-    b"-1",
-    b"1e999",
-    b"\n",
-    b"\r\n",
-    b",",
-    b'"',
-    b"[",
-    b"{",
-    b"9" * 30,
-    b"$",
-    b"'",
-    b"  ",
+    *(*b"\0 \xff nan inf -1 1e999".split(), b"\n", b"\r\n", *b', " [ {'.split()),
+    *(b"9" * 30, b"$", b"'", b"  "),
 )
 
 

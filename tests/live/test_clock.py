@@ -1,5 +1,7 @@
 """Clocks and counters: the promptest packets carry the time, wraps and losses are told apart."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -28,6 +30,7 @@ def test_offset_and_rate_come_from_the_promptest_packets():
     assert 1.0 / fit.rate - 1.0 == pytest.approx(50e-6, abs=1e-6)  # 0.1 ms at the ends of the 200 s that it rests on
     assert fit.host_time(100.0) == pytest.approx(1000.0 + 100.0 / (1 + 50e-6) + 0.003, abs=2e-4)
     assert fit.device_time(fit.host_time(123.4)) == pytest.approx(123.4, abs=1e-9)
+    assert replace(fit, device_zero=2.0, host_zero=10.0, rate=1.5).host_time(4.0) == 13.0
     assert 0.008 < fit.jitter_s < 0.1
 
 

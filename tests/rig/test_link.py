@@ -99,6 +99,10 @@ def test_lost_link_is_reported_at_once_and_can_be_opened_again(server, link):
     link.reconnect()
     assert link.is_open
     assert link.exchange("d") == "d!\n"
+    link._port.close()
+    for refusal in ("cannot send", "is lost"):
+        with pytest.raises(LinkError, match=refusal):
+            link.send(b"c\n")
 
 
 def test_interrupted_wait_leaves_the_link_out_of_step(link, monkeypatch):
