@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from testkit.column_maps import column_map
 from testkit.strategies import assert_same, few
 from undrift.errors import FileFormatError, InputError
+from undrift.io.arrow import from_arrow, to_arrow
 from undrift.io.formats import read_counted
 from undrift.io.parquet import ParquetWriter, iter_parquet, write_parquet
 from undrift.record import Record
@@ -19,6 +20,15 @@ from undrift.record import Record
 
 def ramp(n, **more):
     return Record(time=np.arange(n) / 100, gyro=np.arange(3.0 * n).reshape(n, 3), **more)
+
+
+def test_columns_are_those_of_pyarrow():
+    values = np.array([1.5, np.nan, -2.0])
+    assert to_arrow(values, empty=True).equals(pa.array(values, from_pandas=True))
+    assert to_arrow(values).null_count == 0
+    for kind in (pa.int16(), pa.uint8(), pa.float32(), pa.string()):
+        column = pa.chunked_array([pa.array([1, None, 3]).cast(kind), pa.array([4, 5]).cast(kind)]).slice(1)
+        np.testing.assert_array_equal(from_arrow(column), column.to_numpy())
 
 
 @pytest.mark.slow

@@ -39,16 +39,8 @@ def walk():
 
 def test_a_picture_says_in_text_what_it_shows():
     text = svg_of(walk())
-    for label in (
-        "optics",
-        "device",
-        "total",
-        "inclination",
-        "pitch (deg)",
-        "error (deg)",
-        "time (s)",
-        "walk: sagittal",
-    ):
+    words = ("optics", "device", "total", "inclination", "pitch (deg)", "error (deg)", "time (s)", "walk: sagittal")
+    for label in words:
         assert label in text, label
     assert 'aria-label="walk: sagittal pitch: pitch (deg), error (deg) against time (s)"' in text
     assert "nan" not in re.sub(r"[a-zA-Z]nan|nan[a-zA-Z]", "", text)

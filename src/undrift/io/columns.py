@@ -19,6 +19,7 @@ from undrift.base.codec import tree_of
 from undrift.errors import FileFormatError, InputError
 from undrift.findings import Finding, finding
 from undrift.frames import Frame
+from undrift.io.arrow import from_arrow
 from undrift.io.clock import ClockFit, fit_clock, unwrapped
 from undrift.io.column_map import (
     AXES,
@@ -71,8 +72,8 @@ class RawTable:
         """Return a column as float64."""
         position, numeric = self.position(column), "fiub"
         values = self.columns[position]
-        if not isinstance(values, np.ndarray):  # Arrow column; a column of empty cells becomes NaN
-            values, numeric = np.full(len(values), np.nan) if str(values.type) == "null" else values.to_numpy(), "fiu"
+        if not isinstance(values, np.ndarray):
+            values, numeric = from_arrow(values), "fiu"
         if values.dtype.kind in numeric or not len(values):
             return np.asarray(values, dtype=np.float64)
         row = next((k for k, cell in enumerate(values) if not is_number(cell)), 0)

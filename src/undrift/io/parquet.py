@@ -18,6 +18,7 @@ from typing import Any, Self
 
 from undrift.errors import FileFormatError, InputError
 from undrift.files import MOST_BYTES, checked_file, first_line, new_file, sound, too_large
+from undrift.io.arrow import to_arrow
 from undrift.io.column_map import READ_SETTINGS, ColumnMap, native_map
 from undrift.io.columns import FORMAT, KIND, RawTable, build_record, marks_of, native_columns, read_marks
 from undrift.record import Record
@@ -113,7 +114,7 @@ class ParquetWriter:
                 f"{self.path}: expected chunks in order of time, got {record.time[0]:.9g} s after {self._last:.9g} s"
             )
         self._last = float(record.time[-1])
-        table = pa.Table.from_arrays([pa.array(column) for column in columns], schema=schema)
+        table = pa.Table.from_arrays([to_arrow(column) for column in columns], schema=schema)
         self._writer.write_table(table)
 
 

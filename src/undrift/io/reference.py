@@ -29,6 +29,7 @@ from undrift.base.codec import FileTable, read_toml, toml_of
 from undrift.errors import FileFormatError, InputError
 from undrift.files import read_bytes, write_whole
 from undrift.frames import quaternion_conjugate, quaternion_of, quaternion_product, rotate
+from undrift.io.arrow import to_arrow
 from undrift.io.column_map import (
     POSITION,
     QUATERNION,
@@ -281,7 +282,7 @@ def write_reference(reference: Reference, path: str | Path) -> None:
     if path.suffix.lower() == ".csv":
         write_rows(path, names, columns)
     elif path.suffix.lower() == ".parquet":
-        table = {name: pa.array(column, from_pandas=True) for name, column in zip(names, columns, strict=True)}
+        table = {name: to_arrow(column, empty=True) for name, column in zip(names, columns, strict=True)}
         write_whole(path, lambda part: pq.write_table(pa.table(table), str(part), use_dictionary=False))
     else:
         raise InputError(f"{path}: expected a name ending in .parquet or .csv. Change the ending.")

@@ -32,6 +32,7 @@ from undrift.files import (
     unwritten,
     write_together,
 )
+from undrift.io.arrow import to_arrow
 from undrift.io.column_map import READ_SETTINGS, Column, ColumnMap, TextLayout, native_map
 from undrift.io.columns import (
     FORMAT,
@@ -159,7 +160,7 @@ def write_rows(
 def _table_of(names: Sequence[str], columns: Sequence[FloatArray]) -> Any:
     import pyarrow as pa
 
-    return pa.table([pa.array(np.ascontiguousarray(column), from_pandas=True) for column in columns], names=list(names))
+    return pa.table([to_arrow(column, empty=True) for column in columns], names=list(names))
 
 
 class Appender:

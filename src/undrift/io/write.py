@@ -19,6 +19,7 @@ from pathlib import Path
 from undrift.arrays import FloatArray
 from undrift.errors import InputError
 from undrift.files import write_whole
+from undrift.io.arrow import to_arrow
 from undrift.io.parquet import write_parquet
 from undrift.io.text import Provenance, sidecar_of, write_csv, write_rows
 from undrift.record import Record, sample_rate_of
@@ -72,7 +73,7 @@ def _orientation_parquet(table: Columns, path: Path, _: str) -> None:
     from pyarrow import parquet
 
     buffer = io.BytesIO()
-    parquet.write_table(pa.table(dict(zip(*table, strict=True))), buffer)
+    parquet.write_table(pa.table({name: to_arrow(column) for name, column in zip(*table, strict=True)}), buffer)
     write_whole(path, buffer.getvalue())
 
 
