@@ -24,8 +24,8 @@ REST_AND_ROUNDING = {"B": 1.81, "C": 3.21, "D": 7.20}  # means of row (c); READM
 REST_ALONE = {"B": 4.25, "C": 3.45, "D": 8.25}  # means of row (b)
 
 
-# Device B, four recordings, takes a minute: python -m benchmarks.public orientation prints it too.
-@pytest.mark.parametrize("device", [pytest.param("B", marks=pytest.mark.slow), "C", "D"])
+# Devices B and C take a minute: python -m benchmarks.public orientation prints them too.
+@pytest.mark.parametrize("device", [*(pytest.param(name, marks=pytest.mark.slow) for name in "BC"), "D"])
 def test_the_end_error_of_held_out_trials_stays_below_its_limit(device):
     pairs, names = of_device(device)
     settings = TrialSettings(offset="rest")
