@@ -182,7 +182,8 @@ def _row(job: Job, *, command: Command, options: dict[str, Any], folder: Path | 
         return row | {"verdict": "error", "result": text.removeprefix(f"{job.file}: ")}
     worst = next((item.text for item in report.ordered_findings if item.level != "info"), "")
     output = "" if job.target is None else str(job.target)
-    return row | {"verdict": report.status, "result": report.answer, "worst_finding": worst, "output": output}
+    verdict, result = report.status if report.verdict_shown else "", report.answer.removeprefix(f"{job.file} ")
+    return row | {"verdict": verdict, "result": result, "worst_finding": worst, "output": output}
 
 
 def _report(title: str, rows: list[Row], before: int, others: list[str], output: Path | None) -> Report:
