@@ -58,15 +58,15 @@ def test_a_defect_is_one_line_too_and_shows_its_place_on_request(undrift, monkey
     ("words", "expected"),
     [
         (["bogus"], 'Unknown command "bogus"'),
-        (["info"], "FILES requires an argument. Run undrift info --help."),
+        (["info"], "FILES is missing. Run undrift info --help."),
         (["info", "--bogus", "a"], "Unknown option: --bogus"),
-        (["correct"], "RECORDING requires an argument. Run undrift correct --help."),
+        (["correct"], "RECORDING is missing. Run undrift correct --help."),
         (["calibrate", "s", "--gyro", "by-eye"], 'Invalid value "by-eye" for --gyro. Choose from: "rate-table"'),
         (["calibrate", "s", "--latitude-deg", "north"], 'unable to convert "north" into float'),
-        (["correct", "a.csv", "--calibration", "c.json"], "--output requires an argument"),
-        (["orient", "a.csv"], "--output requires an argument"),
+        (["correct", "a.csv", "--calibration", "c.json"], "--output is missing"),
+        (["orient", "a.csv"], "--output is missing"),
         (["validate", "a.csv", "--offset", "some"], 'Invalid value "some" for --offset'),
-        (["noise", "a.csv", "--rest-s"], "--rest-s requires an argument"),
+        (["noise", "a.csv", "--rest-s"], "--rest-s requires a value"),
         (["demo", "extra"], "unexpected argument extra. Run undrift demo --help"),
         (["--json"], 'Unknown command "--json"'),
     ],
@@ -88,6 +88,7 @@ def test_without_a_command_the_help_is_shown_in_80_columns(undrift):
     shown = undrift.good().out
     assert "Usage: undrift COMMAND" in shown
     assert shown == undrift.good("--help").out == undrift.good("-h").out
+    assert undrift.good("rig").out == undrift.good("rig", "--help").out
     rows = [line for line in shown.partition("Examples:")[0].splitlines() if line.startswith("  ")]
     assert [row.split()[0] for row in rows] == [*program.COMMANDS, "--version"]
     assert max(map(len, rows)) <= 80

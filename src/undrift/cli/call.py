@@ -5,13 +5,14 @@ docstring is the help. ``--report``, ``--details`` and ``--json`` belong to ever
 """
 
 import json as json_format
+import re
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
-from cyclopts import App, CycloptsError, Group, Parameter, UnusedCliTokensError
+from cyclopts import App, CycloptsError, Group, MissingArgumentError, Parameter, UnusedCliTokensError
 
 from undrift import __version__
 from undrift.base.options import WRITTEN
@@ -85,7 +86,11 @@ def call(arguments: Sequence[str]) -> int:
         if bound is None:  # --help and --version
             command()
             return 0
-        name = " ".join(root.parse_commands(words)[0])
+        chain, apps, _ = root.parse_commands(words)
+        if apps[-1].default_command is None:  # a group without a command
+            root.help_print(words)
+            return 0
+        name = " ".join(chain)
         NAMED.set(_option_names(command))
         read = files_in(tuple(value for key, value in bound.arguments.items() if not _is_output(command, key)))
         inputs = tuple(dict.fromkeys(read))
@@ -111,7 +116,11 @@ def call(arguments: Sequence[str]) -> int:
         if isinstance(error, UnusedCliTokensError):
             unused = " ".join(error.unused_tokens or ())
             raise InputError(f"unexpected argument {unused}. Run {command} --help.") from error
-        raise InputError(f"{str(error).strip().splitlines()[0]} Run {command} --help.") from error
+        sentence = str(error).strip().splitlines()[0]
+        if isinstance(error, MissingArgumentError):
+            lacking = "requires a value" if error.keyword else "is missing"
+            sentence = re.sub(r"^(?:Command .* p|P)arameter (.*) requires an argument", rf"\1 {lacking}", sentence)
+        raise InputError(f"{sentence} Run {command} --help.") from error
     return code if isinstance(code, int) else 0
 
 
