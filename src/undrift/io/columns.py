@@ -152,7 +152,7 @@ def is_number(cell: Any, *, empty: bool = False) -> bool:
         float(cell)
     except (TypeError, ValueError):
         return empty and not cell.strip()
-    return True
+    return "_" not in str(cell)  # Python would parse 1_0 as 10
 
 
 def find_column(names: tuple[str, ...], column: Column, source: str) -> int:

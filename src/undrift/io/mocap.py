@@ -357,6 +357,8 @@ def _rows(lines: list[str], width: int, path: Path) -> tuple[FloatArray, FloatAr
                 f"{path}: expected {width} columns in line {number}, got {len(cells)}. Correct the line or the header."
             )
         try:
+            if underscored := [cell for cell in cells if "_" in cell]:  # Python would parse 1_0 as 10
+                raise ValueError(f"{underscored[0]!r}")
             out[row, : min(width, len(cells))] = [float(cell) if cell.strip() else np.nan for cell in cells[:width]]
         except ValueError as error:
             raise FileFormatError(
