@@ -55,6 +55,7 @@ def test_the_sdist_builds_the_same_wheel(dist: Path, tmp_path: Path) -> None:
     assert contents(next(tmp_path.glob("*.whl"))) == contents(next(dist.glob("*.whl")))
 
 
+@pytest.mark.slow
 def test_the_installed_wheel_does_what_the_release_tries(dist: Path, tmp_path: Path) -> None:
     installed = tmp_path / "installed"
     run("-m", "pip", "install", "--quiet", "--no-deps", "--target", installed, next(dist.glob("*.whl")), cwd=tmp_path)

@@ -144,6 +144,7 @@ def test_a_key_depends_on_seed_bench_device_and_session(device):
     assert StudyDevice(replace(STUDY, fit="paper"), 0).key(HAND) == device.key(HAND)  # turns by hand have one fit
 
 
+@pytest.mark.slow
 def test_stale_fits_are_refused(monkeypatch):
     device = StudyDevice(STUDY, 0)
     fit = pack(device.calibration(CHECKED))
