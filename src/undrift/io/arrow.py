@@ -28,7 +28,7 @@ def from_arrow(column: Any) -> np.ndarray[Any, Any]:
         return np.full(len(column), np.nan)
     if not re.fullmatch(r"double|float|u?int(8|16|32|64)", kind):
         return np.asarray(column.to_numpy())
-    parts = [np.empty(0)]
+    parts = []
     for chunk in column.chunks:
         present, values = chunk.buffers()
         rows = slice(chunk.offset, chunk.offset + len(chunk))
@@ -37,4 +37,4 @@ def from_arrow(column: Any) -> np.ndarray[Any, Any]:
             known = np.unpackbits(np.frombuffer(present, np.uint8), bitorder="little")[rows]
             part = np.where(known, part, np.nan)
         parts.append(part)
-    return np.concatenate(parts)
+    return parts[0] if len(parts) == 1 else np.concatenate([np.empty(0), *parts])
