@@ -34,10 +34,17 @@ from fuzz.oracle import KINDS
 
 KEPT = Path("build", "fuzz")
 COMMANDS = 10  # of so many inputs one goes through the commands as well
-LIBRARIES = (
-    *("actfast", "ezc3d", "nilspodlib", "pyarrow.csv", "pyarrow.parquet"),
-    *("pymatreader", "pyulog", "pyxdf", "rosbags.highlevel"),
-)
+LIBRARIES = [
+    "actfast",
+    "ezc3d",
+    "nilspodlib",
+    "pyarrow.csv",
+    "pyarrow.parquet",
+    "pymatreader",
+    "pyulog",
+    "pyxdf",
+    "rosbags.highlevel",
+]
 FORK = mp.get_context("fork")  # the inputs are prepared once, before there are workers
 
 

@@ -550,13 +550,13 @@ def _result(
     inverse = np.linalg.inv(matrix)
     motion_offset = inverse @ moving
     # The fit has M, d and c. The offset o is the mean at rest. An error r of this mean changes o by r and d by -r.
-    of_matrix, of_moving, of_codes, of_rest = np.split(np.eye(18), (9, 12, 15))
-    of_offset = np.diag(sign) @ of_codes
+    matrix_rows, moving_rows, code_rows, rest_rows = np.split(np.eye(18), (9, 12, 15))
+    offset_rows = np.diag(sign) @ code_rows
     if moving_apart:
-        rows = [of_matrix, of_offset + of_rest, of_moving - matrix @ of_rest]
+        rows = [matrix_rows, offset_rows + rest_rows, moving_rows - matrix @ rest_rows]
     else:
-        rows = [of_matrix, of_offset + inverse @ of_moving - np.kron(inverse, motion_offset) @ of_matrix]
-    jacobian = np.vstack((*rows, *([of_codes] if coded else [])))
+        rows = [matrix_rows, offset_rows + inverse @ moving_rows - np.kron(inverse, motion_offset) @ matrix_rows]
+    jacobian = np.vstack((*rows, *([code_rows] if coded else [])))
     free = parameters.free[parameters.free < 15]
     covariance = block_diag(np.zeros((15, 15)), np.diag(spread**2))
     covariance[np.ix_(free, free)] = solution.covariance[: len(free), : len(free)]

@@ -109,8 +109,8 @@ def _tilt_variance(calibration: Calibration, accel: TriadModel, away_k: float) -
         force = STANDARD_GRAVITY * np.eye(3)[up]
         parts = calibrated_force_covariances(error, force, calibration.reference_temp_c + away_k, UNKNOWN_YEARS)
         variance[p, k] = sum(part[forward, forward] for part in parts.values()) + error.step[forward] ** 2 / 12.0
-    of_case = 0.0 if accel.method.startswith(OF_CASE) else CROSS_AXIS**2
-    return variance / STANDARD_GRAVITY**2 + of_case
+    case_variance = 0.0 if accel.method.startswith(OF_CASE) else CROSS_AXIS**2
+    return variance / STANDARD_GRAVITY**2 + case_variance
 
 
 _POSTURES = [  # axis of the pitch and number of the posture, with the axes that point up and forward
@@ -125,8 +125,8 @@ def _rotation_variance(calibration: Calibration, gyro: TriadModel, away_k: float
     error = np.einsum("cq,acd,dq->aq", inverse, np.array(rows), inverse)
     angle = np.where(np.eye(3, dtype=bool), LEAN, TURN)
     has_table = calibration.drift is not None and calibration.drift.scale is not None
-    by_temperature = 0.0 if has_table else 0.01 * _per_k(calibration, "gyro_scale_percent_per_k") * away_k
-    return np.asarray((error * angle**2).sum(axis=1) + (LEAN * by_temperature) ** 2)
+    scale_change = 0.0 if has_table else 0.01 * _per_k(calibration, "gyro_scale_percent_per_k") * away_k
+    return np.asarray((error * angle**2).sum(axis=1) + (LEAN * scale_change) ** 2)
 
 
 def _rate_variance(calibration: Calibration, gyro: TriadModel, *, rested: bool, away_k: float) -> FloatArray:
@@ -134,23 +134,25 @@ def _rate_variance(calibration: Calibration, gyro: TriadModel, *, rested: bool, 
     lean = 0.5 * LEAN * (1.0 - np.cos(np.linspace(0.0, 2.0 * np.pi, 100, endpoint=False)))
     forward_change = STANDARD_GRAVITY * float(np.sin(lean).mean())
     upward_change = STANDARD_GRAVITY * float(np.cos(lean).mean() - 1.0)
-    by_force = np.empty((3, 2))
+    force_variance = np.empty((3, 2))
     for p, k, up, forward in _POSTURES:
         fitted = gyro.g_sensitivity is not None
         sensitivity = gyro.covariance_of(G_NAMES[3 * p : 3 * p + 3]) if fitted else G_SENSITIVITY**2 * np.eye(3)
-        by_force[p, k] = upward_change**2 * sensitivity[up, up] + forward_change**2 * sensitivity[forward, forward]
+        force_variance[p, k] = (
+            upward_change**2 * sensitivity[up, up] + forward_change**2 * sensitivity[forward, forward]
+        )
     triad, codes = calibration.triad("gyro"), np.zeros(3)
     if triad.lsb is not None and triad.rounding == "toward_zero" and gyro.code_offset is None:
         step = triad.lsb * gyro.si_per_reading("rate")
         codes = np.where(np.abs(gyro.offset) < triad.lsb, step / 3.0, 0.0)
-    to_motion = moved_by(gyro) ** 2 / 3.0
+    motion_variance = moved_by(gyro) ** 2 / 3.0
     if rested:
         offset = _rest_code_variance(calibration, gyro) + GYRO_NOISE**2 / REST_S
-        offset += to_motion if gyro.moving_offset is not None else 0.0
+        offset += motion_variance if gyro.moving_offset is not None else 0.0
     else:
-        by_temperature = _per_k(calibration, "gyro_offset_dps_per_k") * RADIAN_PER_DEGREE * away_k
-        offset = np.diag(gyro.offset_covariance) + CALIBRATED_RATE**2 + by_temperature**2 + to_motion
-    return np.asarray(by_force + (offset + codes**2 + GYRO_FLICKER**2)[:, None])
+        temperature_change = _per_k(calibration, "gyro_offset_dps_per_k") * RADIAN_PER_DEGREE * away_k
+        offset = np.diag(gyro.offset_covariance) + CALIBRATED_RATE**2 + temperature_change**2 + motion_variance
+    return np.asarray(force_variance + (offset + codes**2 + GYRO_FLICKER**2)[:, None])
 
 
 def _rest_code_variance(calibration: Calibration, gyro: TriadModel) -> FloatArray:
@@ -159,8 +161,8 @@ def _rest_code_variance(calibration: Calibration, gyro: TriadModel) -> FloatArra
     if gyro.budget is None or "adc" not in gyro.budget.sources or not rests.isdigit():
         return np.zeros(3)
     share = gyro.budget.uncertainty[gyro.budget.sources.index("adc")]
-    of_offset = np.array([share[gyro.parameters.index(f"offset_{axis}")] for axis in AXES])
-    return np.asarray(int(rests) * (of_offset * gyro.si_per_reading("rate")) ** 2)
+    offset_share = np.array([share[gyro.parameters.index(f"offset_{axis}")] for axis in AXES])
+    return np.asarray(int(rests) * (offset_share * gyro.si_per_reading("rate")) ** 2)
 
 
 def _per_k(calibration: Calibration, name: str) -> float:

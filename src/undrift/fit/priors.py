@@ -34,7 +34,7 @@ SCALE_FACTOR_IN_COUNTS = 0.2
 # largest difference from the nominal scale factor in data sheets, relative. Beyond this, a finding asks for the unit.
 SCALE_LIMIT = 0.05
 
-# largest zero-g offset in data sheets of consumer parts, m/s2 (MPU-6050: 80 mg). Beyond it, a finding doubts a fit to motion.
+# largest zero-g offset in data sheets of consumer parts, m/s2 (MPU-6050: 80 mg). Above this limit, a fit to motion gets a finding.
 OFFSET_LIMIT = 0.8
 
 # cross-axis term before a calibration, relative: data sheets of MPU-6050 and ICM-20948 state 2 %, taken as two standard deviations.

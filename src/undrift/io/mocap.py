@@ -22,6 +22,7 @@ from undrift.errors import FileFormatError, InputError
 from undrift.files import is_gzip, read_bytes, sound
 from undrift.frames import signed
 from undrift.io.column_map import naming
+from undrift.io.columns import is_number
 from undrift.io.isolated import isolated
 from undrift.record import Reference, check_time, sample_rate_of
 from undrift.units import si_factor
@@ -356,12 +357,8 @@ def _rows(lines: list[str], width: int, path: Path) -> tuple[FloatArray, FloatAr
             raise FileFormatError(
                 f"{path}: expected {width} columns in line {number}, got {len(cells)}. Correct the line or the header."
             )
-        try:
-            if underscored := [cell for cell in cells if "_" in cell]:  # Python would parse 1_0 as 10
-                raise ValueError(f"{underscored[0]!r}")
-            out[row, : min(width, len(cells))] = [float(cell) if cell.strip() else np.nan for cell in cells[:width]]
-        except ValueError as error:
-            raise FileFormatError(
-                f"{path}: expected numbers in line {number}, got text ({error}). Repair the line."
-            ) from error
+        wrong = next((cell for cell in cells if not is_number(cell, empty=True)), None)
+        if wrong is not None:
+            raise FileFormatError(f"{path}: expected numbers in line {number}, got {wrong!r}. Repair the line.")
+        out[row, : min(width, len(cells))] = [float(cell) if cell.strip() else np.nan for cell in cells[:width]]
     return out[:, 1], out[:, 2:], sum(len(cells) < width for _, cells in rows)
