@@ -14,6 +14,16 @@ from typing import Any
 DOCS = Path(__file__).parents[1] / "docs"
 TASKS = {"sit_to_stand": "sit-to-stand", "step": "step", "posturography": "posturography"}
 NOTE_P = {"sit_to_stand": "0.048", "step": "0.040", "posturography": "0.049"}
+PROCEDURES = {
+    "hand": "six faces and three full turns by hand, at room temperature",
+    "free poses": "24 poses by hand with the moves between them",
+    "three rates": "six faces, then 15, 52.5 and 90 deg/s in both directions about three axes",
+    "note rates": "the same with the note's 17 rates",
+    "hand, warm": "by hand, at the temperature at which the device is worn",
+    "three rates, warm": "three rates, at that temperature",
+    "two set-points": "three rates at 25 and 40 degC",
+    "note": "the note's rates at its five set-points, 18 to 75 degC",
+}
 Row = dict[str, Any]
 
 
@@ -103,6 +113,7 @@ def found(study: Row) -> dict[str, str]:
     errors = [
         [
             name,
+            PROCEDURES[name],
             f"{row['minutes']:.0f}",
             *(
                 f"{rows[name]['95 % of devices below']:.2f} ({rows[name]['mean (deg)']:.2f})"
@@ -118,7 +129,7 @@ def found(study: Row) -> dict[str, str]:
             ["task", *by_parameter["step"], "p of the four", "smallest p after Holm", "the note's p"], first
         ),
         "rivals": table(["method", "minutes", "calibrates", *TASKS.values(), "tilt at rest"], rivals),
-        "sessions": table(["session", "minutes", *TASKS.values()], errors),
+        "sessions": table(["session", "procedure", "minutes", *TASKS.values()], errors),
     }
 
 
