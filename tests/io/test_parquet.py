@@ -29,6 +29,7 @@ def test_columns_are_those_of_pyarrow():
     for kind in (pa.int16(), pa.uint8(), pa.float32(), pa.string()):
         column = pa.chunked_array([pa.array([1, None, 3]).cast(kind), pa.array([4, 5]).cast(kind)]).slice(1)
         np.testing.assert_array_equal(from_arrow(column), column.to_numpy())
+    assert from_arrow(pa.chunked_array([pa.array([b"\xb0", None]).view("string")])).tolist() == ["\ufffd", None]
 
 
 @pytest.mark.slow

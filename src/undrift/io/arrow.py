@@ -26,6 +26,9 @@ def from_arrow(column: Any) -> np.ndarray[Any, Any]:
     kind = str(column.type)
     if kind == "null":
         return np.full(len(column), np.nan)
+    if kind == "string":  # a parser of tables does not check its text
+        cells = column.cast("binary").to_pylist()
+        return np.array([None if cell is None else cell.decode("utf-8", "replace") for cell in cells], dtype=object)
     if not re.fullmatch(r"double|float|u?int(8|16|32|64)", kind):
         return np.asarray(column.to_numpy())
     arrays = []

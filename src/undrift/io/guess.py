@@ -237,7 +237,7 @@ def _array_of(columns: Any, names: Sequence[str]) -> Any:
 
 def _stated_rate(table: RawTable, text: Text | None) -> str:
     """Return the sample rate from a line before the header or a single-number array, or "?" if there is none."""
-    for name, column in zip(table.names, table.columns, strict=True):
+    for name, column in zip(table.names, table.columns, strict=False):
         if len(column) == 1 and _STATED_NAME.search(name) and (rate := table.numbers(name)[0]) > 0:
             return f"{rate:g}  # by {name}"
     for line in text.preamble if text else ():

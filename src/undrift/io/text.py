@@ -271,10 +271,11 @@ def sniff(path: str | Path) -> Text:
     path = Path(path)
     head = read_bytes(path, _LINES)
     table = find_table(path, head)
-    if table is None:  # the first line consists of words: it is the header
-        lines = head.decode("utf-8", "replace").splitlines()[:64]
+    if table is None:  # the first line with text consists of words: it is the header
+        lines = [line.decode("utf-8", "replace") for line in head.splitlines()[:64]]
         delimiter, decimal = separators_of([line for line in lines if line.strip()])
-        return open_text(path, TextLayout(delimiter=delimiter, decimal=decimal))
+        blank = next((k for k, line in enumerate(lines) if line.strip()), 0)
+        return open_text(path, TextLayout(delimiter=delimiter, decimal=decimal, skip_rows=blank))
     text = open_text(path, table.layout)
     if table.layout.header and len(text.names) != len(table.names):  # a map cannot name its columns
         text = open_text(path, table.layout.but(header=False, skip_rows=table.skip))
@@ -349,7 +350,7 @@ def cells_of(line: str, delimiter: str) -> list[str]:
         return line.split()
     quoted = '"' in line and "\r" not in line and len(line) < csv.field_size_limit()
     cells = next(csv.reader([line], delimiter=delimiter), []) if quoted else line.split(delimiter)
-    return [cell.strip() for cell in cells]
+    return [cell.strip(" \t") for cell in cells]
 
 
 def packed(rows: bytes) -> bytes:
