@@ -347,7 +347,7 @@ def separators_of(lines: list[str]) -> tuple[str, str]:
 def cells_of(line: str, delimiter: str) -> list[str]:
     """Return the cells of a line."""
     if delimiter == " ":
-        return line.split()
+        return [cell for cell in re.split(r"[ \t\r\n]+", line) if cell]
     quoted = '"' in line and "\r" not in line and len(line) < csv.field_size_limit()
     cells = next(csv.reader([line], delimiter=delimiter), []) if quoted else line.split(delimiter)
     return [cell.strip(" \t") for cell in cells]
