@@ -82,18 +82,14 @@ def correct(
     read_files = (recording, calibration if calibration.is_file() else None, opening.column_map)
     check_output(output, endings=tuple(RECORD_WRITERS), reads=read_files, beside=files_of(output)[1:])
     reader = Reader(opening, calibration, (recording,))
-    model, path = reader.calibration
+    model, _ = reader.calibration
     corrector = partial(Corrector, model, policy, power_on_s=power_on_s)
     remaining = None if offset == "none" else _remaining_offset(reader, recording, corrector(), offset, rest)
     reader.notes += [] if remaining is None else [item.text for item in remaining.findings]
-    made_by: dict[str, object] = {
-        "inputs": [{"file": file.name, "sha256": sha256_of(file)} for file in (recording, path) if file.is_file()],
-        "calibration": {"created": model.provenance.created, "verdict": model.verdict.status},
-        "settings": {"policy": policy, "power_on_s": power_on_s, "offset": offset},
-        "versions": {"undrift": __version__},
-    }
     stream = corrector(offset=remaining)
-    findings = _correct(reader, recording, output, stream, made_by)
+    findings = _correct(
+        reader, recording, output, stream, {"policy": policy, "power_on_s": power_on_s, "offset": offset}
+    )
     reach = stream.state.reach
     counts = {
         f"{unit}_{kind}": getattr(reach, f"{unit}_{kind}") for unit in ("samples", "seconds") for kind in NOT_COVERED
@@ -147,7 +143,7 @@ def _next_command(output: Path) -> tuple[object, ...]:
 
 
 def _correct(
-    reader: Reader, recording: Path, output: Path, stream: Corrector, made_by: dict[str, object]
+    reader: Reader, recording: Path, output: Path, stream: Corrector, settings: dict[str, object]
 ) -> list[Finding]:
     """Correct a recording into a file, chunk by chunk if the format permits this. Return findings against the result."""
     findings, chunked = dict[tuple[object, ...], Finding](), output.name.endswith(".parquet")
@@ -157,6 +153,7 @@ def _correct(
         ParquetWriter(output) if chunked else nullcontext() as writer,
         threads(1) as pool,  # a second thread writes a chunk while the next one is corrected
     ):
+        made_by = {} if writer else _made_by(reader, recording, settings)
         write = writer.write if writer else partial(write_record_as, path=output, made_by=made_by)
         written: Future[Any] = pool.submit(bool)
         for raw in read_ahead(reader.chunks(recording)) if chunked else (reader.read(recording),):
@@ -175,6 +172,17 @@ def _correct(
             progress(recording.name, stream.state.reach.samples / total if total else READ)
         written.result()
     return [*findings.values(), *stream.findings]
+
+
+def _made_by(reader: Reader, recording: Path, settings: dict[str, object]) -> dict[str, object]:
+    """Return the origin of a corrected recording, which is written beside a CSV file."""
+    model, path = reader.calibration
+    return {
+        "inputs": [{"file": file.name, "sha256": sha256_of(file)} for file in (recording, path) if file.is_file()],
+        "calibration": {"created": model.provenance.created, "verdict": model.verdict.status},
+        "settings": settings,
+        "versions": {"undrift": __version__},
+    }
 
 
 def read_ahead(chunks: Iterator[Record]) -> Iterator[Record]:
