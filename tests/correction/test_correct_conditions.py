@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from testkit import twins
 from testkit.full_calibration import ROUNDINGS, STEPS, WILD, N, device, record, tables
 from undrift.correction.correct import Corrector, correct, correct_checked
+from undrift.correction.plan import without_lag
 from undrift.correction.rest import rest_offset
-from undrift.drift.temperature import without_lag
 from undrift.errors import DriftRangeError, InputError
 from undrift.model import CODE_NAMES, MATRIX_NAMES, MOVING_NAMES, OFFSET_NAMES, DriftTables, StaticDrift, WarmUp
 from undrift.record import Still

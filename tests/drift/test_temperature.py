@@ -13,13 +13,13 @@ import pytest
 from testkit.column_maps import column_map
 from testkit.data import data_path, show
 from testkit.rest_blocks import rest_blocks
+from undrift.correction.plan import without_lag
 from undrift.drift.temperature import (
     Temperature,
     check_span,
     default_smooth_s,
     estimate_lag,
     trusted_temperature,
-    without_lag,
     without_lag_smooth,
 )
 from undrift.errors import InputError, NotObservable

@@ -18,6 +18,7 @@ value, and one multiplication determines the cell. Cells of other nodes are foun
 the sensors. A causal filter with state subtracts the lag of the thermometer (drift/temperature.py).
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -28,7 +29,6 @@ import numpy as np
 
 from undrift.arrays import BoolArray, FloatArray, interpolated
 from undrift.base import workers
-from undrift.drift.temperature import NO_READING, without_lag
 from undrift.errors import InputError
 from undrift.kernels.tables import Grid, Tables
 from undrift.model import MATRIX_NAMES, OFFSET_NAMES, Calibration, Sensor, TriadModel
@@ -314,6 +314,12 @@ def hull(*spans: Span) -> Span:
     return min(span[0] for span in spans), max(span[1] for span in spans)
 
 
+# state of the filter between chunks: time of the last reading, s, the reading, the reading behind the low-pass tau_f, and the last
+# temperature returned, degC, which is repeated while readings are NaN (all NaN before the first reading)
+NO_READING = (math.nan,) * 4
+AT_ONCE = 1e-300  # time constant of a low-pass that has no effect, for no lag, s
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Carry:
     """State passed from one chunk of a stream to the next."""
@@ -343,6 +349,18 @@ def carry_at_start(first_time: float, power_on_s: float | None) -> Carry:
             got=power_on_s,
         )
     return Carry(power_on_time=first_time - power_on_s)
+
+
+def without_lag(
+    temp_c: FloatArray, time: FloatArray, *, lag_s: float, smooth_s: float, state: tuple[float, ...] = NO_READING
+) -> tuple[FloatArray, tuple[float, ...]]:
+    """Subtract the thermometer's lag with a causal filter, for temperatures (N,), degC, at times (N,), s."""
+    from undrift.kernels.correct import lead
+
+    x, t = (np.ascontiguousarray(v, dtype=np.float64) for v in (temp_c, time))
+    y, next_state = np.empty_like(x), np.array(state)
+    lead(x, t, y, lag_s, smooth_s or AT_ONCE, next_state)
+    return y, tuple(next_state.tolist())
 
 
 def conditions_of(record: Record, calibration: Calibration, plans: Plans, carry: Carry) -> tuple[Conditions, Carry]:

@@ -53,7 +53,6 @@ QUIET = 0.05  # in steps: with less noise, changes of step do not repeat
 SAME_STEP = 0.02  # in steps: largest distance of a column from whole steps
 # ---- lag
 RAMP_C_PER_MIN = 1.0  # slope at which noise and remaining lag are balanced
-AT_ONCE = 1e-300  # time constant of a low-pass that has no effect, for no lag, s
 LONGEST_LAG_S = 300.0
 NODE_C, MOST_KNOTS = 5.0, 16  # temperature span per power of the polynomial, and largest number of powers
 FEWEST = 24  # blocks
@@ -229,23 +228,6 @@ def moving_mean(values: FloatArray, time: FloatArray, window_s: float) -> FloatA
 
 
 # ---- subtract a lag
-
-
-# state of the filter between chunks: time of the last reading, s, the reading, the reading behind the low-pass tau_f, and the last
-# temperature returned, degC, which is repeated while readings are NaN (all NaN before the first reading)
-NO_READING = (math.nan,) * 4
-
-
-def without_lag(
-    temp_c: FloatArray, time: FloatArray, *, lag_s: float, smooth_s: float, state: tuple[float, ...] = NO_READING
-) -> tuple[FloatArray, tuple[float, ...]]:
-    """Subtract the thermometer's lag with a causal filter, for temperatures (N,), degC, at times (N,), s."""
-    from undrift.kernels.correct import lead
-
-    x, t = (np.ascontiguousarray(v, dtype=np.float64) for v in (temp_c, time))
-    y, next_state = np.empty_like(x), np.array(state)
-    lead(x, t, y, lag_s, smooth_s or AT_ONCE, next_state)
-    return y, tuple(next_state.tolist())
 
 
 def without_lag_smooth(temperature: Temperature, *, lag_s: float) -> FloatArray:
