@@ -6,10 +6,9 @@ If no thread can be started, as in a browser, the calls run one after another in
 import os
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache, partial
-from multiprocessing import get_context
 from typing import Any
 
 from undrift.errors import InputError
@@ -71,6 +70,9 @@ def executor(workers: int | None = None, scheduler: str | None = None) -> Iterat
     if count == 1 or not has_threads():
         yield map
         return
+    from concurrent.futures import ProcessPoolExecutor
+    from multiprocessing import get_context
+
     with ProcessPoolExecutor(count - 1, mp_context=get_context("spawn")) as pool:
         yield partial(_shared_map, pool)
 
