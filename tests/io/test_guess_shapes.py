@@ -45,8 +45,9 @@ def test_one_of_two_sensors_is_taken_and_the_other_is_named(tmp_path):
     np.testing.assert_allclose(record.gyro, GYRO, atol=1e-4)
 
 
-def test_six_rows_of_an_array_are_accelerometers_and_gyroscopes(tmp_path):
-    savemat(tmp_path / "a.mat", {"imu": ROWS[:, 1:].T, "t": TIME})
+@pytest.mark.parametrize("arrays", [{"imu": ROWS[:, 1:].T, "t": TIME}, {"imu": ROWS}], ids=["six rows", "time and six"])
+def test_an_array_holds_accelerometers_and_gyroscopes(tmp_path, arrays):
+    savemat(tmp_path / "a.mat", arrays)
     record = read_as_proposed(tmp_path / "a.mat").record
     np.testing.assert_array_equal(record.accel, ACCEL)
     np.testing.assert_array_equal(record.gyro, GYRO)

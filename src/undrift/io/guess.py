@@ -144,11 +144,10 @@ def foreign_kind(table: RawTable, text: Text | None) -> str | None:
     is_foreign = bool(triples) and all(_NO_SENSOR.search(name) for triple in triples for name in triple)
     if is_foreign or (text and any(map(_FORCE.search, names))):
         return f"a table of other quantities ({listing}, ...), not a recording of an inertial sensor"
-    if not triples and not _sixes(table.names) and not is_nameless(text):
-        return (
-            f"a table without names of three axes ({', '.join(names[:8])}). A recording of an inertial sensor needs "
-            "a map by positions, for example gyro = [1, 2, 3], with header = false and skip_rows."
-        )
+    if not triples and not _sixes(table.names) and not is_nameless(table, text):
+        how = "by positions, for example gyro = [1, 2, 3], with header = false and skip_rows"
+        how = how if text else 'that names its columns, for example gyro = ["gx", "gy", "gz"]'
+        return f"a table without names of three axes ({', '.join(names[:8])}). A recording of an inertial sensor needs a map {how}."
     if len(table.names) < 3:
         return (
             "a table of fewer than three columns. To read the files of three axes as one recording, use a map with a "
@@ -157,9 +156,12 @@ def foreign_kind(table: RawTable, text: Text | None) -> str | None:
     return None
 
 
-def is_nameless(text: Text | None) -> bool:
-    """Return True if the columns of a text have positions only."""
-    return text is not None and not text.layout.header and text.names[-1].isdecimal()
+def is_nameless(table: RawTable, text: Text | None) -> bool:
+    """Return True if columns have a position instead of a name: no header, or one array that is not three axes or six."""
+    if text is not None:
+        return not text.layout.header and text.names[-1].isdecimal()
+    name = table.names[0].removesuffix("[0]") if table.names else ""
+    return len(table.names) not in (3, 6) and table.names == tuple(f"{name}[{k}]" for k in range(len(table.names)))
 
 
 def triples_of(names: tuple[str, ...]) -> dict[tuple[str, str, str], str]:
@@ -192,7 +194,9 @@ def _sixes(names: Sequence[str]) -> list[str]:
 
 def propose(table: RawTable, text: Text | None = None) -> MapProposal:
     """Return the map that a table of readings or of orientations probably needs."""
-    columns, others = (_by_position(table), "") if is_nameless(text) else _by_name(table)
+    columns, others = (_by_position(table), "") if is_nameless(table, text) else _by_name(table)
+    if text is None and is_nameless(table, text):  # the columns of an array have names with their positions
+        columns = {key: np.array(table.names)[value].tolist() for key, value in columns.items()}
     if text and (quaternion := _quaternion(table)):
         columns, others = {"quaternion": quaternion}, ""
         for key, pattern in (("counter", _COUNTER), ("time", _NAMED["time"])):  # the last one is used
