@@ -23,7 +23,7 @@ from undrift.calibration.sources import creep_of, flicker_about_mean, noise_and_
 from undrift.errors import InputError, NotObservable
 from undrift.fit.gls import block_size, noise_of_means, solve_inverse
 from undrift.fit.priors import ACCEL_FLICKER, REFERENCE_LEVEL
-from undrift.fit.triad import TriadFit, first_matrix, fit_of, nominal_triad, parameters_of, scaled_condition
+from undrift.fit.triad import TriadFit, first_matrix, fit_of, nominal_triad, parameters_of
 from undrift.frames import rotation
 from undrift.model import TriadModel
 from undrift.record import Record, Reference, Session, Still
@@ -82,8 +82,7 @@ def fit_reference_accel(
                 bodies.append((rotation(poses_in_view.q_nb[during]).mean() * mounting).as_matrix())
     body = np.reshape(bodies, (-1, 3, 3))
     up = body[:, 2]
-    rank, condition = scaled_condition(np.column_stack((up, np.ones(len(up))))) if stills else (0, np.inf)
-    if len(stills) < MIN_RESTS or rank < 4 or condition > MAX_CONDITION:
+    if len(stills) < MIN_RESTS or np.linalg.cond(np.column_stack((up, np.ones(len(up))))) > MAX_CONDITION:
         raise NotObservable(
             f"reference: {len(stills)} rests with poses do not determine the accelerometers. Let the device rest for 3 s on each "
             "of its six sides in view of the reference, or calibrate with six faces.",

@@ -68,13 +68,16 @@ class RawTable:
         """Return the position of a column."""
         return find_column(self.names, column, self.source)
 
+    def cells(self, position: int) -> np.ndarray[Any, Any]:
+        """Return the cells of a column. Characters that are not UTF-8 are replaced."""
+        values = self.columns[position]
+        return values if isinstance(values, np.ndarray) else from_arrow(values)
+
     def numbers(self, column: Column) -> FloatArray:
         """Return a column as float64."""
-        position, numeric = self.position(column), "fiub"
-        values = self.columns[position]
-        if not isinstance(values, np.ndarray):
-            values, numeric = from_arrow(values), "fiu"
-        if values.dtype.kind in numeric or not len(values):
+        position = self.position(column)
+        values, is_array = self.cells(position), isinstance(self.columns[position], np.ndarray)
+        if values.dtype.kind in ("fiub" if is_array else "fiu") or not len(values):
             return np.asarray(values, dtype=np.float64)
         row = next((k for k, cell in enumerate(values) if not is_number(cell)), 0)
         cell = str(values[row])[:40]
@@ -104,16 +107,14 @@ def in_seconds(table: RawTable, column: Column) -> RawTable:
     continue past midnight.
     """
     at = table.position(column)
-    values = table.columns[at]
-    if not isinstance(values, np.ndarray):  # invalid UTF-8 is reported below
-        values = (values.cast("binary") if str(values.type) == "string" else values).to_numpy()
+    values = table.cells(at)
     if values.dtype.kind != "M":
-        hits = [_DATE.fullmatch(str(_text(cell)).strip()) for cell in values]
+        hits = [_DATE.fullmatch(str(cell).strip()) for cell in values]
         bad = next((k for k, hit in enumerate(hits) if hit is None), None)
         if bad is not None:
             raise FileFormatError(
                 f"{table.source}: column {table.names[at]!r}: expected dates such as 2026-01-31 12:00:00.250, got "
-                f"{str(_text(values[bad]))[:40]!r} in data row {table.row(bad)}. Repair the file, or set another unit of time."
+                f"{str(values[bad])[:40]!r} in data row {table.row(bad)}. Repair the file, or set another unit of time."
             )
         try:
             values = np.array([_iso(hit) for hit in hits if hit], dtype="M8[ns]")
@@ -140,10 +141,6 @@ def _iso(hit: re.Match[str]) -> str:
     y, m, d, hour, minute, second, fraction = hit.groups(default="")
     date = f"{y}-{m:0>2}-{d:0>2}" if y else "1970-01-01"
     return f"{date}T{hour:0>2}:{minute}:{second}.{fraction:0<9}"
-
-
-def _text(cell: Any) -> Any:
-    return cell.decode("utf-8", "replace") if isinstance(cell, bytes) else cell
 
 
 def is_number(cell: Any, *, empty: bool = False) -> bool:

@@ -292,7 +292,7 @@ def _by_name(table: RawTable) -> tuple[dict[str, Any], str]:
 def _by_position(table: RawTable) -> dict[str, Any]:
     """Return the columns of a table without names: an increasing first column is time, and the three axes with the most constant
     length are accelerometers."""
-    width, cells = len(table.names), [str(cell) for cell in table.columns[0][:8]]
+    width, cells = len(table.names), [str(cell) for cell in table.cells(0)[:8]]
     times = readings(table, [0])[:8, 0]
     grows = (len(times) > 1 and bool((np.diff(times) > 0.0).all()) and width not in (3, 6)) or all(map(is_date, cells))
     columns = {k: readings(table, [k]) for k in range(grows, width)}
