@@ -169,11 +169,12 @@ def write_together(files: Mapping[Path, Content]) -> None:
 
     A function as content receives the path to write to.
     """
-    with ExitStack() as drafts:
+    with ExitStack() as stack:
+        drafts = dict[Path, Path]()
         for path, content in files.items():
             if content is None:
                 continue
-            draft = drafts.enter_context(new_file(path))
+            drafts[path] = draft = stack.enter_context(_draft(path))
             if callable(content):
                 try:
                     content(draft)
@@ -182,6 +183,7 @@ def write_together(files: Mapping[Path, Content]) -> None:
             else:
                 draft.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
             synchronise(draft)
+        _take_names(drafts)
     for path in (path for path, content in files.items() if content is None):
         try:
             path.unlink(missing_ok=True)
@@ -195,6 +197,15 @@ def new_file(path: Path) -> Iterator[Path]:
 
     If the block fails, it is deleted. Its mode is copied from the file that it replaces, or follows the umask.
     """
+    with _draft(path) as draft:
+        yield draft
+        synchronise(draft)
+        _take_names({path: draft})
+
+
+@contextmanager
+def _draft(path: Path) -> Iterator[Path]:
+    """Yield an empty temporary file next to a path, and delete it at the end of the block if it has not been renamed."""
     if path.is_dir():
         raise unwritten(path, IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR)))
     draft = path.with_name(f".{path.name[:40]}.{secrets.token_hex(4)}.part")
@@ -206,12 +217,22 @@ def new_file(path: Path) -> Iterator[Path]:
         raise no_folder(path, error) from error
     try:
         yield draft
-        synchronise(draft)
-        draft.replace(path)
     except OSError as error:
         raise unwritten(path, error) from error
     finally:
         draft.unlink(missing_ok=True)
+
+
+def _take_names(drafts: Mapping[Path, Path]) -> None:
+    """Rename complete files. If the disk has no room for a new name, none is renamed: replacing a file needs no room."""
+    new = [path for path in drafts if not path.exists()]
+    for path in sorted(drafts, key=lambda path: path not in new):
+        try:
+            drafts[path].replace(path)
+        except OSError as error:
+            for other in new:
+                other.unlink(missing_ok=True)
+            raise unwritten(path, error) from error
 
 
 def synchronise(path: Path) -> None:
@@ -221,9 +242,15 @@ def synchronise(path: Path) -> None:
 
 
 def errno_of(error: OSError) -> int | None:
-    """Return the errno of an error. Arrow's errors contain it only in their text."""
-    match = re.search(r"\[errno (\d+)\]", str(error))
+    """Return the errno of an error. Errors of Arrow and of a copied folder contain it only in their text."""
+    match = re.search(r"\[errno (\d+)\]", str(error), re.IGNORECASE)
     return int(match[1]) if match and error.errno is None else error.errno
+
+
+def reason_of(error: OSError) -> str:
+    """Return the words of the system for an error."""
+    number = errno_of(error)
+    return os.strerror(number) if number else str(error)
 
 
 def is_full(error: OSError) -> bool:
@@ -235,7 +262,7 @@ def no_folder(path: Path, error: OSError) -> InputError:
     """Return the error for a folder in which no file can be created."""
     if is_full(error):
         return unwritten(path, error)
-    return InputError(f"{path}: expected a folder to write to, got {error.strerror}. Choose another folder.")
+    return InputError(f"{path}: expected a folder to write to, got {reason_of(error)}. Choose another folder.")
 
 
 def unwritten(path: Path, error: OSError) -> InputError:
@@ -245,9 +272,7 @@ def unwritten(path: Path, error: OSError) -> InputError:
         return InputError(
             f"{path}: expected free disk space, but the disk is full or a quota is used up. Free space and run the command again."
         )
-    number = errno_of(error)
-    why = os.strerror(number) if number else error
-    return InputError(f"{path}: cannot be written: {why}. Check the name, the folder and its permissions.")
+    return InputError(f"{path}: cannot be written: {reason_of(error)}. Check the name, the folder and its permissions.")
 
 
 @contextmanager
