@@ -120,8 +120,8 @@ def cut_in_print(held: Any, *pages: Path) -> list[str]:
 
 
 @pytest.mark.slow
-def test_every_page_reads_on_wide_and_narrow_screens_light_and_dark_and_on_paper(site: Path) -> None:
-    with browser() as held:
+def test_every_page_reads_on_wide_and_narrow_screens_light_and_dark_and_on_paper(site: Path, playwright: Any) -> None:
+    with browser(playwright) as held:
         pages = sorted(site.rglob("*.html"))
         assert len(pages) > 40
         assert [fault for page in pages for fault in seen_in(held, page, judged=tuple(product(WIDTHS, SCHEMES)))] == []

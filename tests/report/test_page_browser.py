@@ -4,6 +4,7 @@ import json
 import shlex
 from itertools import cycle
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -98,7 +99,7 @@ def test_a_page_has_its_parts_and_fetches_nothing(pages: Path, name: str) -> Non
 
 
 @pytest.mark.slow
-def test_every_page_reads_on_wide_and_narrow_screens_light_and_dark_and_on_paper(pages: Path) -> None:
-    with browser() as held:  # the style is one: a page is judged at one of the corners
+def test_every_page_reads_on_wide_and_narrow_screens_light_and_dark_and_on_paper(pages: Path, playwright: Any) -> None:
+    with browser(playwright) as held:  # the style is one: a page is judged at one of the corners
         corners = zip(NAMES, cycle(CORNERS), strict=False)
         assert [fault for name, at in corners for fault in seen_in(held, pages / f"{name}.html", judged=(at,))] == []

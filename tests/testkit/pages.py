@@ -67,19 +67,16 @@ _BESIDE = """[...document.querySelectorAll(".cards :is(th, td)")]
 
 
 @contextmanager
-def browser() -> Iterator[Any]:
+def browser(playwright: Any) -> Iterator[Any]:
     """Start Debian's chromium, or skip the test if it is missing."""
     path = next((name for name in CHROMIUM if Path(name).exists()), None)
     if path is None:
         pytest.skip("no chromium on this machine: make test installs it on Debian")
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as result:
-        values = result.chromium.launch(executable_path=path, args=["--no-sandbox", "--disable-gpu"])
-        try:
-            yield values
-        finally:
-            values.close()
+    result = playwright.chromium.launch(executable_path=path, args=["--no-sandbox", "--disable-gpu"])
+    try:
+        yield result
+    finally:
+        result.close()
 
 
 def seen_in(held: Any, page: Path, *, judged: Container[tuple[int, str]] = CORNERS) -> list[str]:
