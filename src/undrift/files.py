@@ -224,7 +224,7 @@ def _draft(path: Path) -> Iterator[Path]:
 
 
 def _take_names(drafts: Mapping[Path, Path]) -> None:
-    """Rename complete files. If the disk has no room for a new name, none is renamed: replacing a file needs no room."""
+    """Rename complete files. If the disk has no room for a new name, no file is renamed, because replacing a file needs no room."""
     new = [path for path in drafts if not path.exists()]
     for path in sorted(drafts, key=lambda path: path not in new):
         try:
@@ -242,13 +242,13 @@ def synchronise(path: Path) -> None:
 
 
 def errno_of(error: OSError) -> int | None:
-    """Return the errno of an error. Errors of Arrow and of a copied folder contain it only in their text."""
+    """Return the errno of an error. Arrow and shutil state it only in the text of their errors."""
     match = re.search(r"\[errno (\d+)\]", str(error), re.IGNORECASE)
     return int(match[1]) if match and error.errno is None else error.errno
 
 
 def reason_of(error: OSError) -> str:
-    """Return the words of the system for an error."""
+    """Return the description that the operating system gives of an error."""
     number = errno_of(error)
     return os.strerror(number) if number else str(error)
 

@@ -254,6 +254,7 @@ def test_a_row_that_ends_early_is_a_gap(tmp_path):
         (lambda t: t.replace("\tm\t", "\tfurlong\t"), "unit of length:"),
         (lambda t: t.replace("0.01\t1.0", "0.01\tlost"), "expected numbers in line 8, got 'lost'"),
         (lambda t: t.replace("0.01\t1.0", "0.01\t1_0"), "expected numbers in line 8, got '1_0'"),
+        (lambda t: t.replace("0.01\t1.0", "0.01\t1.0\x1f"), "expected numbers in line 8, got '1.0"),
         (
             lambda t: t.replace("0.01\t1.0", "0.01\t1.0\t1.0"),
             "expected 8 columns in line 8, got 9",

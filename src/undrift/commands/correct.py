@@ -82,7 +82,7 @@ def correct(
     read_files = (recording, calibration if calibration.is_file() else None, opening.column_map)
     check_output(output, endings=tuple(RECORD_WRITERS), reads=read_files, beside=files_of(output)[1:])
     reader = Reader(opening, calibration, (recording,))
-    model, _ = reader.calibration
+    model = reader.calibration[0]
     corrector = partial(Corrector, model, policy, power_on_s=power_on_s)
     remaining = None if offset == "none" else _remaining_offset(reader, recording, corrector(), offset, rest)
     reader.notes += [] if remaining is None else [item.text for item in remaining.findings]

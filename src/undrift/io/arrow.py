@@ -1,6 +1,7 @@
 """Convert arrays to columns of Arrow tables, and back.
 
-If pandas is installed, the conversions of pyarrow import it, which takes longer than many commands. These use the buffers directly.
+If pandas is installed, the conversions of pyarrow import it, which takes longer than many commands. The functions here use the
+buffers.
 """
 
 import re

@@ -149,7 +149,8 @@ def is_number(cell: Any, *, empty: bool = False) -> bool:
         float(cell)
     except (TypeError, ValueError):
         return empty and not cell.strip()
-    return "_" not in str(cell)  # Python would parse 1_0 as 10
+    # Python would parse 1_0 as 10, and remove control characters beside a number
+    return "_" not in str(cell) and str(cell).strip(" \t\r\n") == str(cell).strip()
 
 
 def find_column(names: tuple[str, ...], column: Column, source: str) -> int:

@@ -157,7 +157,7 @@ def foreign_kind(table: RawTable, text: Text | None) -> str | None:
 
 
 def is_nameless(table: RawTable, text: Text | None) -> bool:
-    """Return True if columns have a position instead of a name: no header, or one array that is not three axes or six."""
+    """Return True if columns have positions and no names: in a table without header, or an array that has not 3 or 6 columns."""
     if text is not None:
         return not text.layout.header and text.names[-1].isdecimal()
     name = table.names[0].removesuffix("[0]") if table.names else ""
